@@ -43,9 +43,9 @@ from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.pooled import check_manoeuvres
 from bayes_aero.inference.results import Identification, MleResult, Posterior
 from bayes_aero.inference.validation import SplitKind, Training, validate
+from bayes_aero.jobs.check import RecordChecks, record_checks, repaired
 from bayes_aero.jobs.identify import pooled_manoeuvres
 from bayes_aero.jobs.options import FormingName, NoiseName
-from bayes_aero.jobs.steps.record_checks import RecordChecks, record_checks, repaired
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Density, Noise

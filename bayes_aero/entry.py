@@ -29,7 +29,7 @@ def main() -> None:
     sys.unraisablehook = _heed
     try:
         signal.signal(signal.SIGINT, leave if heeded else signal.SIG_IGN)
-        from bayes_aero.cli.app import main as program
+        from bayes_aero.cli import main as program
 
         signal.signal(signal.SIGINT, note if heeded else signal.SIG_IGN)
         program()

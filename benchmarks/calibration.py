@@ -3,7 +3,7 @@
     python benchmarks/calibration.py emcee 300 --out calibration      # stall posterior, AR(1) noise
     python benchmarks/calibration.py NUTS 300 --out calibration
     python benchmarks/calibration.py gp 300 --out calibration         # hyperparameters of a Gaussian process
-    python benchmarks/calibration.py report --out calibration         # tables and figures of what is there
+    python benchmarks/calibration.py report --out calibration         # tables of what is there
 
 Every replicate is one line of OUT/<what>.jsonl; a study that was interrupted goes on where it stopped.
 
@@ -25,7 +25,6 @@ import numpy as np
 import pandas as pd
 from arviz_stats.ecdf_utils import ecdf_pit
 from jaxtyping import Float, Int
-from matplotlib.figure import Figure
 from studies import parser_of, rows_of, run_seeds
 
 from bayes_aero.flight.card import read_card
@@ -39,8 +38,6 @@ from bayes_aero.inference.results import Posterior
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Observations, observe
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import grid_of, housed, save
 from bayes_aero.simulate.demo import simulate_stall
 
 DRAWS = 99  # posterior draws that a truth is ranked among: ranks 0 to 99
@@ -165,21 +162,6 @@ def calibration_table(replicates: Sequence[Replicate]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
-@housed
-def rank_bands(bands: Mapping[str, Band]) -> Figure:
-    """ECDF difference of each parameter's ranks with its simultaneous 95 % band; orange where it leaves the band."""
-    figure, axes = grid_of(len(bands), 5, (2.4, 1.7), sharex=True, sharey=True)
-    for ax, (name, band) in zip(axes, bands.items(), strict=True):
-        colour = COLOURS["mle"] if band.inside else COLOURS["gpr"]
-        ax.fill_between(band.at, band.lower, band.upper, color=COLOURS["prior"], alpha=0.5, linewidth=0)
-        ax.step(band.at, band.difference, where="post", color=colour)
-        ax.set_title(name if band.inside else f"{name}: outside")
-        ax.label_outer()
-    figure.supxlabel("rank of the truth among posterior draws, as a share [-]")
-    figure.supylabel("ECDF minus uniform [-]")
-    return figure
-
-
 def study(what: str) -> Callable[[int], dict]:
     """One replicate as a row, by its seed."""
     card = read_card("attas")
@@ -195,7 +177,7 @@ def study(what: str) -> Callable[[int], dict]:
 
 
 def report(out: Path) -> None:
-    """Tables, and a figure each, of the replicates so far."""
+    """Tables of the replicates so far."""
     for what in STUDIES:
         found = [Replicate(**row) for row in rows_of(out / f"{what}.jsonl")]
         if not found:
@@ -205,8 +187,6 @@ def report(out: Path) -> None:
         print(table.to_string(float_format=lambda v: f"{v:.3f}"))
         outside = int((~table["inside band"].astype(bool)).sum())
         print(f"outside the 95 % band: {outside} of {len(table)}; by chance alone {0.05 * len(table):.1f} are expected")
-        bands = {name: band_of([r.ranks[name] for r in found]) for name in found[0].ranks}
-        print("figure:", save(rank_bands(bands), out / f"{what}.png"))
 
 
 if __name__ == "__main__":

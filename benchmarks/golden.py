@@ -103,7 +103,7 @@ def six_axes(work: Path) -> list[str]:
 
 def said(arguments: list[str]) -> tuple[int, str]:
     """Exit code and output of a command, in this process."""
-    from bayes_aero.cli.app import main
+    from bayes_aero.cli import main
 
     sys.argv = ["bayes-aero", *arguments]
     text = io.StringIO()

@@ -5,7 +5,7 @@
     python benchmarks/hidden_effects.py two 100 --out study         # two effects
     python benchmarks/hidden_effects.py unknown 60 --out study      # effects of no catalogue
     python benchmarks/hidden_effects.py report --out study          # tables of everything found so far
-    python benchmarks/hidden_effects.py effects --out study         # power and confusion by effect, with a picture
+    python benchmarks/hidden_effects.py effects --out study         # power by effect
     python benchmarks/hidden_effects.py one 60 --single --out alone # on a single manoeuvre
     python benchmarks/hidden_effects.py one 30 --trajectories --out flown   # without accelerometers
 
@@ -23,7 +23,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 from studies import Row, parser_of, rows_of, run_seeds, standard_scores, without_accelerometers
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -41,7 +40,6 @@ NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
 PAIR, SINGLE = {"seconds": 90.0}, {"seconds": 100.0, "manoeuvres": 1}  # one length: one compilation serves all
 CLEAR = 6.0  # standard errors from which an effect must be named
 EDGES = (0.0, 2.0, 4.0, 6.0, 9.0, 15.0, np.inf)  # standard errors of the first screening
-NOTHING = "(nothing)"
 
 
 def candidates() -> list[str]:
@@ -203,15 +201,6 @@ def power(rows: Sequence[Row]) -> dict[str, list[tuple[int, int]]]:
     return table
 
 
-def confusion(rows: Sequence[Row]) -> tuple[list[str], list[str], np.ndarray]:
-    """True effects, named ones, and counts: what is named first in each record of at least `CLEAR` standard errors."""
-    pairs = Counter((hidden(r), r["causes"][0]["name"] if r["causes"] else NOTHING) for r in rows if size(r) >= CLEAR)
-    true = sorted({pair[0] for pair in pairs})
-    others = sorted({pair[1] for pair in pairs} - set(true) - {NOTHING})
-    first = [*true, *others, NOTHING]
-    return true, first, np.array([[pairs[t, f] for f in first] for t in true], int).reshape(len(true), len(first))
-
-
 def heads() -> list[str]:
     """The classes of size in words."""
     last = len(EDGES) - 2
@@ -226,33 +215,6 @@ def print_power(rows: Sequence[Row]) -> None:
         print(f"| `{name}` | " + " | ".join(f"{hits}/{of}" if of else "" for hits, of in classes) + " |")
 
 
-def draw(rows: Sequence[Row], path: Path) -> None:
-    """Both as one picture: a square for every class of size and effect, and who is named first."""
-    table = power(rows)
-    share = np.array([[hits / of if of else np.nan for hits, of in classes] for classes in table.values()])
-    true, first, counts = confusion(rows)
-    figure = Figure(figsize=(15.0, 0.22 * len(table) + 3.2), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=[1.0, 2.4])
-    left.imshow(share, cmap="viridis", vmin=0.0, vmax=1.0, aspect="auto")
-    left.set_xticks(range(len(heads())), heads(), rotation=40, ha="right")
-    left.set_yticks(range(len(table)), list(table))
-    left.set_xlabel("size of the hidden effect [standard errors]")
-    for i, classes in enumerate(table.values()):
-        for j, (hits, of) in enumerate(classes):
-            if of:
-                left.text(j, i, f"{hits}/{of}", ha="center", va="center", fontsize=7, color="w" if hits < of else "k")
-    left.set_title("Named of those flown (blank: none of that size)")
-    right.imshow(np.where(counts > 0, 1.0, np.nan), cmap="Blues", vmin=0.0, vmax=2.5, aspect="auto")
-    for i, j in zip(*np.nonzero(counts), strict=True):
-        right.text(j, i, str(counts[i, j]), ha="center", va="center", fontsize=7)
-    right.set_xticks(range(len(first)), first, rotation=90)
-    right.set_yticks(range(len(true)), true)
-    right.set_xlabel("named first")
-    right.set_ylabel("hidden")
-    right.set_title(f"Records of at least {CLEAR:g} standard errors")
-    figure.savefig(path, dpi=110)
-
-
 def main() -> None:
     """Run a study, or report on what is there."""
     kinds = ("silence", "one", "two", "unknown", "report", "effects")
@@ -263,9 +225,7 @@ def main() -> None:
     if given.what == "report":
         report(given.out)
     elif given.what == "effects":
-        rows = [r for r in rows_of(given.out / "one.jsonl") if "refused" not in r]
-        print_power(rows)
-        draw(rows, given.out / "detection.png")
+        print_power([r for r in rows_of(given.out / "one.jsonl") if "refused" not in r])
     else:
         length = SINGLE if given.single else PAIR
         one = partial(case_or_refusal, given.what, length=length, trajectories=given.trajectories)

@@ -2,7 +2,7 @@
 
     python benchmarks/interval_coverage.py colour 100 --out coverage     # coefficients, against colour and sample rate
     python benchmarks/interval_coverage.py identify 100 --out coverage   # pairs of flights, as `identify` fits them
-    python benchmarks/interval_coverage.py report --out coverage         # tables and figure of what is there
+    python benchmarks/interval_coverage.py report --out coverage         # tables of what is there
     python benchmarks/interval_coverage.py flown 30 --first 91000        # trajectories, the flight itself disturbed
     python benchmarks/interval_coverage.py band 40                       # in a band of frequencies, and in time
 
@@ -19,7 +19,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,6 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from matplotlib.figure import Figure
 from studies import Z95, Row, mean_and_error, parser_of, resumed, rows_of, seeds_of
 
 from bayes_aero.effects import CATALOGUE
@@ -43,8 +42,6 @@ from bayes_aero.jobs.fly import fly
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT, Colour, Density, Noise
 from bayes_aero.model.observations import Observations, observe
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import housed, panels, save
 from bayes_aero.simulate.demo import TRUTH, Request, simulate_stall
 from bayes_aero.simulate.injection import hidden_flights, synthetic
 
@@ -53,13 +50,7 @@ STEPS = (4, 16)  # of 25 Hz: 6.25 and 1.5625 samples a second
 RHOS = (0.0, 0.5, 0.9, 0.98)
 SIGMA = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004}
 ROUND = 10
-LOOKS = {
-    "CRB": ("Cramér–Rao", COLOURS["crb"], "o"),
-    "corrected CRB": ("Cramér–Rao, corrected", COLOURS["crb_corrected"], "s"),
-    "white posterior": ("posterior, white noise", COLOURS["white"], "v"),
-    "AR(1) posterior": ("posterior, AR(1) noise", COLOURS["emcee"], "D"),
-}
-METHODS = tuple(LOOKS)
+METHODS = ("CRB", "corrected CRB", "white posterior", "AR(1) posterior")
 # Of `identify`
 KINDS = (("white", 0.04), ("white", 0.02), ("ar1", 0.04), ("ar1", 0.02), ("demo", 0.04))
 IDENTIFIED = ("corrected bound", "posterior")
@@ -158,10 +149,8 @@ def colour(count: int, out: Path) -> None:
 def report_colour(out: Path) -> None:
     """Share covered in every cell, over parameters and replicates, with its standard error over replicates."""
     rows = [json.loads(path.read_text()) for path in sorted(out.glob("step*.json"))]
-    shares: dict[float, dict[str, list[tuple[float, float]]]] = {}
     for step in sorted({row["step"] for row in rows}):
-        rate = 25.0 / step
-        print(f"\n{rate:g} samples a second")
+        print(f"\n{25.0 / step:g} samples a second")
         for rho in RHOS:
             here = [row for row in rows if row["step"] == step and row["rho"] == rho]
             if not here:
@@ -169,30 +158,9 @@ def report_colour(out: Path) -> None:
             cells = []
             for method in METHODS:
                 each = np.concatenate([row["inside"][method] for row in here])
-                shares.setdefault(rate, {}).setdefault(method, []).append((rho, float(each.mean())))
                 cells.append("{} {:.3f} +- {:.3f}".format(method, *mean_and_error(each)))
             converged = np.mean([row["converged"] for row in here])
             print(f"  rho {rho:g}, {ROUND * len(here)} replicates ({converged:.0%} converged): {'; '.join(cells)}")
-    print("figure:", save(coverage_against_colour(shares), out / "coverage.png"))
-
-
-@housed
-def coverage_against_colour(shares: Mapping[float, Mapping[str, Sequence[tuple[float, float]]]]) -> Figure:
-    """`shares[rate][method]` holds (lag-1 correlation, share covered); one panel for each sample rate in Hz."""
-    figure, axes = panels(1, len(shares), (4.6 * len(shares), 3.9), sharey=True)
-    for ax, (rate, methods) in zip(axes[0], shares.items(), strict=True):
-        ax.axhline(0.95, color=COLOURS["measured"], lw=0.8, ls=":")
-        for method, points in methods.items():
-            label, colour, marker = LOOKS[method]
-            rho, share = np.array(sorted(points)).T
-            ax.plot(range(len(rho)), share, marker=marker, color=colour, label=label)
-            ax.set_xticks(range(len(rho)), [f"{r:.3g}" for r in rho])
-        ax.set(xlabel="noise: correlation of neighbouring samples [-]", title=f"{rate:.3g} samples a second")
-        ax.set_ylim(0.0, 1.02)
-    axes[0, 0].set_ylabel("truths inside 95 % intervals [-]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
-    return figure
 
 
 def pair(kind: str, dt: float, number: int) -> list[FlightRecord]:

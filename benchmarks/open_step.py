@@ -21,10 +21,8 @@ from typing import Any
 import numpy as np
 from bokeh.document import Document
 
-from bayes_aero.explore.opened import Choice, open_result
-from bayes_aero.explore.page import Asked, ExplorePage, page_of
-from bayes_aero.explore.server import PageServer
-from bayes_aero.explore.simulator import Simulator
+from bayes_aero.explore.opened import Choice, Simulator, open_result
+from bayes_aero.explore.page import Asked, ExplorePage, PageServer, page_of
 
 SIZE = {"width": 1920, "height": 1080}
 READY = "Number(document.documentElement.dataset.answered) === explore.state.id"

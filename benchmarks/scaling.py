@@ -22,7 +22,6 @@ import numpy as np
 
 SAMPLES = (2_000, 20_000, 200_000)
 MANOEUVRES = (5, 50, 500)
-STEPS = 20  # of emcee's four ensembles
 
 
 def long_record(n: int, seed: int = 0):
@@ -39,57 +38,25 @@ def long_record(n: int, seed: int = 0):
 
 
 def samples(n: int) -> dict[str, float]:
-    """Read a CSV file, fit, and a fixed number of emcee's steps under AR(1) noise."""
+    """Read a CSV file and fit."""
     from bayes_aero.flight.card import read_card
     from bayes_aero.flight.reading import read_record
     from bayes_aero.flight.record import write_record
-    from bayes_aero.inference import ensemble
-    from bayes_aero.inference.ensemble import density_start, find_mode
-    from bayes_aero.inference.mle import fit_mle
-    from bayes_aero.model.model import Model
-    from bayes_aero.model.noise import Colour, Density, Noise
-    from bayes_aero.model.observations import observe
 
-    card = read_card("attas")
-    model = Model.from_card(card)
+    card, times = read_card("attas"), {}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "record.csv"
         record = long_record(n)
         write_record(record, path, [c for c in card.channels if record.has(c.name)])
-        times = {"MB": path.stat().st_size / 1e6}
+        times["MB"] = path.stat().st_size / 1e6
         clock = Clock(times)
         record = read_record(path, card.channels)
         clock("read")
-    observations = observe([record], card, model)
-    clock("observe")
-    mle = fit_mle(model, observations, extra_starts=0)
-    clock("mle")
-    fit_mle(model, observations, extra_starts=0)
-    clock("again")
-    density = Density.of(observations, model, Noise(Colour.AR1))
-    mode = find_mode(density, density_start(density, mle))
-    clock("mode")
-    target = ensemble._Target(density, mode)
-    walkers = 2 * (density.size + 2)
-    proposal = ensemble._IndependenceProposal(np.zeros(density.size), np.eye(density.size))
-    samplers = [ensemble._sampler(target, walkers, proposal, i) for i in range(ensemble.EnsembleLength().ensembles)]
-    begin = 0.5 * np.random.default_rng(0).standard_normal((len(samplers), walkers, density.size))
-    ensemble._advance(samplers, 2, begin)
-    clock("compile")
-    ensemble._advance(samplers, STEPS)
-    clock("emcee")
-    return times
+    return fitted([record], times)
 
 
 def manoeuvres(count: int) -> dict[str, float]:
     """One joint fit of manoeuvres of 500 to 1000 samples, hardly two of one length."""
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.inference.mle import fit_mle
-    from bayes_aero.model.model import Model
-    from bayes_aero.model.observations import observe
-
-    card = read_card("attas")
-    model = Model.from_card(card)
     rng = np.random.default_rng(0)
     whole = [long_record(4000, seed) for seed in range(10)]
     records = []
@@ -97,14 +64,23 @@ def manoeuvres(count: int) -> dict[str, float]:
         record, first, length = whole[k % 10], int(rng.integers(0, 3000)), int(rng.integers(500, 1000))
         channels = {name: x[first : first + length] for name, x in record.channels.items()}
         records.append(type(record).from_arrays(f"m{k}", record.time[:length], channels))
-    times: dict[str, float] = {"samples": float(sum(r.n for r in records))}
-    clock = Clock(times)
+    return fitted(records, {"samples": float(sum(r.n for r in records))})
+
+
+def fitted(records: list, times: dict[str, float]) -> dict[str, float]:
+    """Coefficients formed, and two fits."""
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.inference.mle import fit_mle
+    from bayes_aero.model.model import Model
+    from bayes_aero.model.observations import observe
+
+    card, clock = read_card("attas"), Clock(times)
+    model = Model.from_card(card)
     observations = observe(records, card, model)
     clock("observe")
-    fit_mle(model, observations, extra_starts=0)
-    clock("mle")
-    fit_mle(model, observations, extra_starts=0)
-    clock("again")
+    for name in ("mle", "again"):
+        fit_mle(model, observations, extra_starts=0)
+        clock(name)
     return times
 
 

@@ -27,8 +27,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.optimize import least_squares
 from studies import resumed
 
@@ -38,16 +36,13 @@ from bayes_aero.diagnosis.selection_state import moved, optimum
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.gp import fit_gp
-from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling
-from bayes_aero.inference.gp.optimum import maximise, starting_points
+from bayes_aero.inference.gp.kernel import Priors
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.scores import log_density, score
 from bayes_aero.inference.validation import KINDS, SplitKind, make_splits
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.aircraft import NAMES
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import housed, panels, save
 
 Predict = Callable[[np.ndarray], np.ndarray]
 
@@ -347,20 +342,6 @@ def case(flights: Flights, kind: SplitKind, name: str, seed: int) -> dict:
     return row
 
 
-def single_starts(flights: Flights, count: int = 10) -> None:
-    """Which optimum the hyperparameters reach from single draws of their prior."""
-    priors = Priors.quasi_steady()
-    for kind in INNER:
-        for problem in problems(flights, kind):
-            for c, name in enumerate(NAMES):
-                X, y = problem.inputs[problem.train], problem.measured[problem.train, c]
-                scaling = Scaling.of(X, y, flights.card.gp_inputs)
-                data = ReducedData.of(scaling.inputs(X), y / scaling.rms)
-                starts = starting_points(priors, X.shape[1], count + 3, 1)[3:]  # the first three are no draws
-                found = np.array([maximise(u, data, priors).value for u in starts])
-                print(f"{kind}, {name}: {np.sum(found > found.max() - 0.1)} of {count} starts reach the best optimum")
-
-
 def table(rows: Sequence[dict]) -> None:
     """A line for each split and method: medians over initialisations, and the worst over the best of them."""
     print("CL / CD / Cm of all that was held out; seconds of the processor for one training")
@@ -393,30 +374,6 @@ def methods_named(rows: Sequence[dict]) -> list[str]:
     return list(dict.fromkeys(r["method"] for r in rows))
 
 
-@housed
-def spread(rows: Sequence[dict]) -> Figure:
-    """Hold-out error of every initialisation over that of maximum likelihood on the same split."""
-    figure, axes = panels(1, len(NAMES), (11.0, 4.6), sharey=True)
-    names = methods_named(rows)
-    looks = dict(zip(KINDS, ((COLOURS["gpr"], "o"), (COLOURS["emcee"], "s"), (COLOURS["mle"], "D")), strict=True))
-    for ax, coefficient in zip(axes[0], NAMES, strict=True):
-        for offset, (kind, (colour, marker)) in zip((-0.22, 0.0, 0.22), looks.items(), strict=True):
-            own = [r for r in rows if r["split"] == kind]
-            base = np.median([r[coefficient]["rmse"] for r in own if r["method"] == "maximum likelihood"])
-            x = [r[coefficient]["rmse"] / base for r in own]
-            y = [names.index(r["method"]) + offset for r in own]
-            ax.plot(x, y, marker, ms=4.0, mfc="none", color=colour, label=f"{kind} split")
-        ax.axvline(1.0, color=COLOURS["measured"], lw=0.8, ls=":")
-        ax.set(xscale="log", title=coefficient, xlabel="RMSE over that of maximum likelihood [-]")
-        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        ax.xaxis.set_major_formatter("{x:g}")
-        ax.xaxis.set_minor_formatter(NullFormatter())
-    axes[0, 0].set_yticks(range(len(names)), names)
-    axes[0, 0].invert_yaxis()
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    return figure
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("records", nargs=2, type=Path)
@@ -435,8 +392,6 @@ def main() -> None:
     order = list(methods(flights))
     rows.sort(key=lambda r: order.index(r["method"]))
     table(rows)
-    save(spread(rows), given.out / "seed_rivals.png")
-    single_starts(flights)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,8 @@ output error of `six`, and with the book's data maximum likelihood of the coeffi
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from timing import compare
 
 from bayes_aero.dynamics.aircraft import FLOW
 from bayes_aero.dynamics.flight import aircraft_dynamics
@@ -37,6 +37,24 @@ from bayes_aero.simulate.demo import TRUTH, Request, simulate_stall
 from bayes_aero.simulate.injection import synthetic
 
 KINDS = ("elevator_3211", "aileron_doublet", "rudder_doublet")
+
+
+def compare(runs: Mapping[str, Callable[[], Any]], repeats: int = 5) -> None:
+    """A line each with its least seconds and their ratio to the first.
+
+    They run in turn, so that a slow moment of the machine falls on all, and each once untimed in its turn: the first
+    time it may compile, and later the shortest would pay for the caches and the memory that the longest left.
+    """
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for _ in range(repeats):
+        for name, run in runs.items():
+            run()
+            began = time.perf_counter()
+            run()
+            times[name].append(time.perf_counter() - began)
+    first = min(next(iter(times.values())))
+    for name, taken in times.items():
+        print(f"  {name:40s} {1e3 * min(taken):9.1f} ms  {min(taken) / first:7.2f} x", flush=True)
 
 
 def step(system: Any, x: Any, now: Any, then: Any, dt: Any) -> Any:

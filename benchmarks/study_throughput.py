@@ -1,11 +1,10 @@
-"""How fast studies are done on 1 and 2 workers, and what a killed worker changes.
+"""How fast studies are done on 1 and 2 workers.
 
-    python benchmarks/study_throughput.py [--records 100] [--seeds 10] [--rounds 2] [--drill]
+    python benchmarks/study_throughput.py [--records 100] [--seeds 10] [--rounds 2]
 
 Units are maximum-likelihood fits of simulated stalls of 60 s with coloured noise, each record with several seeds (other
-starts): the same study with 1 and 2 workers in turn; all records and seeds on 2 workers, with a worker killed half-way
-if --drill is given, which is then compared with the study that nobody disturbed. Rates are counted from the first
-finished unit to the last.
+starts): the same study with 1 and 2 workers in turn; all records and seeds on 2 workers. Rates are counted from the
+first finished unit to the last.
 """
 
 from __future__ import annotations
@@ -13,19 +12,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 
-import psutil
-
 from bayes_aero.flight.card import read_card
-from bayes_aero.jobs.catalogue import known_effects
-from bayes_aero.jobs.simulate import simulate_file
+from bayes_aero.jobs.catalogue import known_effects, simulate_file
 from bayes_aero.simulate.demo import Request
 
 STUDY = """
@@ -41,38 +35,24 @@ options.page = false
 
 
 class Watched:
-    """A run of the program in a process of its own; a worker is killed after so many units."""
+    """A run of the program in a process of its own."""
 
-    def __init__(self, folder: Path, study: str, out: str, workers: int, cache: Path, kill_after: int = 0) -> None:
+    def __init__(self, folder: Path, study: str, out: str, workers: int, cache: Path) -> None:
         command = [sys.executable, "-m", "bayes_aero", "run", study, "--out", out, "--workers", str(workers)]
         settings = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "XLA_"))}
-        self.out, self.killed = folder / out, not kill_after
-        began = time.time()
-        with subprocess.Popen(command, cwd=folder, env=settings | {"BAYES_AERO_CACHE": str(cache)}) as process:
-            watch = threading.Thread(target=self._watch, args=(psutil.Process(process.pid), kill_after), daemon=True)
-            watch.start()
-            self.code = process.wait()
+        self.out, began = folder / out, time.time()
+        subprocess.run(command, cwd=folder, env=settings | {"BAYES_AERO_CACHE": str(cache)}, check=True)
         self.wall = time.time() - began
         ends = sorted(path.stat().st_mtime for path in self.out.glob("units/*/unit.json"))
         self.count = len(ends)
         self.rate = (len(ends) - 1) / (ends[-1] - ends[0]) if len(ends) > 1 else float("nan")
-
-    def _watch(self, driver: psutil.Process, kill_after: int) -> None:
-        while driver.is_running() and not self.killed:
-            if len(list(self.out.glob("units/[!.]*"))) >= kill_after:
-                found = [p.pid for p in driver.children(recursive=True) if "spawn_main" in " ".join(p.cmdline())]
-                os.kill(min(found), signal.SIGKILL)
-                self.killed = True
-            time.sleep(1.0)
 
     def numbers(self) -> dict[str, object]:
         """Every result without its provenance."""
         found = {}
         for path in self.out.glob("units/*/results.json"):
             told = json.loads(path.read_text())
-            found[path.parent.name] = {
-                key: value for key, value in told.items() if key not in ("provenance", "seconds")
-            }
+            found[path.parent.name] = {k: x for k, x in told.items() if k not in ("provenance", "seconds")}
         return found
 
 
@@ -92,7 +72,6 @@ def main() -> None:
     parser.add_argument("--records", type=int, default=100)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--drill", action="store_true", help="kill a worker of the long study half-way")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
@@ -115,12 +94,6 @@ def main() -> None:
 
         run = Watched(folder, "long.toml", "long", 2, cache)
         print(f"{run.count} units on 2 workers: {run.wall:.0f} s, {3600 * run.rate:.0f} units/hour", flush=True)
-        if given.drill:
-            again = Watched(folder, "long.toml", "drill", 2, cache, kill_after=run.count // 2)
-            same = again.numbers() == run.numbers()
-            print(
-                f"with a worker killed half-way: exit status {again.code}, {again.wall:.0f} s, numbers the same: {same}"
-            )
 
 
 if __name__ == "__main__":

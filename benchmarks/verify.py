@@ -6,8 +6,8 @@
 
 A round has flights of six kinds: nothing hidden, one effect, an effect of no catalogue; another simulator's aircraft
 with one effect and without; a pair of stalls for `identify`. Seeds are drawn anew and printed. Every flight is one line
-of OUT/<first seed>/flights.jsonl; the same command takes up a run of the same commit that was interrupted. At the end
-one line is added to the ledger, whatever the verdict. Exit status 1: a claim is refuted, or a flight crashed.
+of OUT/<first seed>/flights.jsonl. At the end, or where it is interrupted, one line is added to the ledger, whatever the
+verdict. Exit status 1: a claim is refuted, or a flight crashed.
 
 A claim is refuted where its rate lies outside the Clopper-Pearson limits of the count at `LEVEL`: exactly where the
 exact binomial test of that rate, to the side from which the claim can fail, has a p-value below 1 - `LEVEL`.
@@ -27,7 +27,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -109,7 +109,7 @@ CLAIMS = (
 
 @dataclass(frozen=True)
 class Run:
-    """What makes two runs the same: code, rounds, and whether posteriors are sampled; and the first seed."""
+    """Code, rounds, whether posteriors are sampled, and the first seed."""
 
     commit: str
     rounds: int
@@ -138,38 +138,10 @@ def commit_of(folder: Path) -> str:
         return "unknown"
 
 
-def begin(out: Path, commit: str, rounds: int, posterior: bool) -> tuple[Run, Path]:
-    """The unfinished run of the same code and settings in `out`, or a new one of fresh seeds; and its folder."""
-    for path in sorted(out.glob("*/run.json")):
-        kept = json.loads(path.read_text())
-        if not kept.pop("finished") and kept == asdict(Run(commit, rounds, posterior, kept["first"])):
-            return Run(**kept), path.parent
-    run = Run(commit, rounds, posterior, SEEDS[0] + secrets.randbelow(SEEDS[1] - SEEDS[0]))
-    folder = out / str(run.first)
-    folder.mkdir(parents=True)
-    mark(run, folder, finished=False)
-    return run, folder
-
-
-def mark(run: Run, folder: Path, *, finished: bool) -> None:
-    """Keep a run's settings, and whether its line is in the ledger."""
-    (folder / "run.json").write_text(json.dumps(asdict(run) | {"finished": finished}))
-
-
-def flights(folder: Path) -> list[Row]:
-    """Those that are done; a line that an interruption cut off is flown again."""
-    path = folder / "flights.jsonl"
-    lines = path.read_text().split("\n")[:-1] if path.exists() else []
-    return [json.loads(line) for line in lines]
-
-
-def fly(run: Run, folder: Path, case: Case, pool: Executor, workers: int, seconds: float) -> list[Row]:
-    """Fly what is not done yet; none is begun after `seconds`. All flights of the run."""
-    rows = flights(folder)
-    done = {(row["kind"], row["seed"]) for row in rows}
-    jobs = (job for job in run.jobs() if job[:2] not in done)
-    deadline, pending = time.monotonic() + seconds, set()
-    (folder / "flights.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+def fly(run: Run, folder: Path, case: Case, pool: Executor, workers: int, seconds: float, rows: list[Row]) -> list[Row]:
+    """Fly all of the run, into `rows`; none is begun after `seconds`."""
+    jobs, deadline, pending = run.jobs(), time.monotonic() + seconds, set()
+    folder.mkdir(parents=True, exist_ok=True)
     with (folder / "flights.jsonl").open("a") as file:
         while True:
             while len(pending) < workers and time.monotonic() < deadline and (job := next(jobs, None)):
@@ -301,14 +273,17 @@ def main() -> int:
     parser.add_argument("--ledger", type=Path, default=LEDGER)
     given = parser.parse_args()
     minutes = given.minutes or (float("inf") if given.full else 10.0)
-    run, folder = begin(given.out, commit_of(HERE), given.rounds or FULL, given.full)
+    first = SEEDS[0] + secrets.randbelow(SEEDS[1] - SEEDS[0])
+    run, folder = Run(commit_of(HERE), given.rounds or FULL, given.full, first), given.out / str(first)
+    rows: list[Row] = []
     print(f"commit {run.commit}, seeds from {run.first}, flights in {folder}", flush=True)
-    with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        rows = fly(run, folder, case, pool, given.workers, 60.0 * minutes)
-    line = line_of(run, rows)
-    report(rows)
-    enter(line, given.ledger)
-    mark(run, folder, finished=True)
+    try:
+        with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+            fly(run, folder, case, pool, given.workers, 60.0 * minutes, rows)
+    finally:  # an interruption must not hide what was found
+        line = line_of(run, rows)
+        report(rows)
+        enter(line, given.ledger)
     print(f"{line['verdict']}; entered in {given.ledger}")
     return int(line["verdict"] != "not refuted")
 

@@ -12,10 +12,10 @@ import jsonschema
 import msgspec
 import pytest
 
-from bayes_aero.cli.app import main
+from bayes_aero.cli import main
 from bayes_aero.flight.record import write_record
 from bayes_aero.jobs.io.documents import DOCUMENTS, document_schema
-from bayes_aero.jobs.provenance import plain
+from bayes_aero.jobs.store import plain
 
 
 def called(folder, *arguments):

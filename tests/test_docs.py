@@ -137,6 +137,15 @@ def test_no_part_of_a_sentence_stands_outside_its_parentheses():
         assert not lost, f"{path}: {lost}"
 
 
+def test_a_record_passes_few_files_from_command_to_page_and_all_that_is_named_is_there():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    way = text.split("## One record")[1].split("\n|")[0]
+    passed = re.findall(r"`(bayes_aero/[\w/]+\.py)`", way)
+    assert 15 <= len(passed) == len(set(passed)) <= 25
+    named = {*passed, *re.findall(r"`((?:tests|benchmarks|docs)/[\w/]+\.(?:py|md))`", text)}
+    assert [name for name in named if not (ROOT / name).is_file()] == []
+
+
 # Notebooks as they are committed, and executed anew on reduced settings: one of them, by `make verify` all
 FOLDER = ROOT / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))

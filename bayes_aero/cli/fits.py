@@ -1,20 +1,36 @@
-"""bayes-aero identify, diagnose, fly and path: the commands that fit records."""
+"""bayes-aero identify, diagnose, fly and path, what is done with their results, and run, which does many of them."""
 
 from __future__ import annotations
 
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
 
 from bayes_aero.cli import terminal
-from bayes_aero.jobs.options import DiagnoseOptions, FlyOptions, IdentifyOptions, PathOptions, ReadingOptions
+from bayes_aero.errors import InputError
+from bayes_aero.jobs.options import (
+    DiagnoseOptions,
+    ExportForm,
+    FlyOptions,
+    IdentifyOptions,
+    PathOptions,
+    QualifyOptions,
+    ReadingOptions,
+)
+from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from bayes_aero.jobs.io.fly_json import Flight
+    from bayes_aero.jobs.io.results import Flight
+    from bayes_aero.study.run import Planned, UnitRunner
+    from bayes_aero.study.study import Study
 
 MOST = 5  # candidates of each stage on a terminal, where there is no cause
 
@@ -85,8 +101,8 @@ def diagnose(
     """
     (card, flights), hidden = terminal.card_and_records(records or [], reading), None
     with terminal.loading():
+        from bayes_aero.jobs.catalogue import refuse_existing, write_effects
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
-        from bayes_aero.jobs.io.effect_file import refuse_existing, write_effects
         from bayes_aero.report.design import in_band_sentences, points_sentences
         from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
         from bayes_aero.report.tables.fly import hold_out_error_table
@@ -142,7 +158,7 @@ def fly(
     card, flights = terminal.card_and_records(records, reading)
     with terminal.loading():
         from bayes_aero.jobs.fly import fly as job
-        from bayes_aero.jobs.io.fly_json import RESULTS
+        from bayes_aero.jobs.io.results import RESULTS
 
     console = terminal.teller(quiet=json, highlight=True)
     with terminal.working(out) as tell:
@@ -173,7 +189,7 @@ def path(
     card, flights = terminal.card_and_records(records, reading)
     with terminal.loading():
         from bayes_aero.jobs.fly import flight_path
-        from bayes_aero.jobs.io.fly_json import RESULTS
+        from bayes_aero.jobs.io.results import RESULTS
 
     console = terminal.teller(quiet=json, highlight=True)
     with terminal.working(out) as tell:
@@ -205,3 +221,299 @@ def print_fit(console: Console, found: Flight, out: Path) -> None:
         console.print(table.terminal())
     terminal.print_lines(console, found.sentences, found.notes)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+
+
+# --- bayes-aero export, open and qualify: what is done with a finished result.
+
+
+def export(
+    result: Annotated[
+        str,
+        typer.Argument(
+            help="Folder (or JSON file) that identify, fly or diagnose wrote, or a card that states every value.",
+            metavar="MODEL",
+        ),
+    ],
+    to: Annotated[
+        ExportForm,
+        typer.Option(help="jsbsim: aerodynamics, states and a body; fmu: FMI 2.0; tables: NetCDF and CSV."),
+    ],
+    out: Annotated[Path | None, typer.Option(help="Folder to make; default: NAME_FORM, here.")] = None,
+    model: terminal.ResultCardOption = None,
+    draws: Annotated[int, typer.Option(min=0, help="Draws of the parameters to write, of their posterior.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the draws.")] = 0,
+    json: terminal.JsonOption = False,
+) -> None:
+    """Write the identified aerodynamic model for another simulator.
+
+    All effects of the aircraft are exported, sensor errors and gusts are not; the terminal and README.txt say which.
+
+    Example: bayes-aero export results --to jsbsim
+    """
+    terminal.check_result(result)
+    with terminal.loading():
+        from bayes_aero.jobs.finished import export as run
+
+        folder, facts = run(result, to, out=out, card=model, draws=draws, seed=seed)
+    if json:
+        terminal.print_json(facts | {"folder": str(folder)})
+    sentences = [*facts["sources"], *facts["validity"], *facts["left_out"]]
+    if facts["draws"] is not None:
+        sentences.append(f"{facts['draws']['count']} draws: {facts['draws']['origin']}.")
+    sentences.append(f"The model is in {folder}: {', '.join(facts['files'])}. README.txt says how to use it.")
+    for sentence in sentences:
+        terminal.teller(quiet=json).print(sentence, soft_wrap=True)
+
+
+def open(
+    result: Annotated[
+        str, typer.Argument(help="Folder (or JSON file) that identify, fly or diagnose wrote.", metavar="DIR")
+    ],
+    records: Annotated[
+        list[Path] | None, typer.Option(help="Folder of the records, where they have moved; may be repeated.")
+    ] = None,
+    model: terminal.ResultCardOption = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0: any free one.")] = 0,
+    browser: Annotated[bool, typer.Option(help="--no-browser: print the address only.")] = True,
+) -> None:
+    """Look at a finished result on a local page: sliders fly the manoeuvres again at once.
+
+    The page is served to this machine alone (127.0.0.1) and asks nothing of a network. Ctrl-C ends it.
+
+    Example: bayes-aero open results
+    """
+    terminal.check_result(result)
+    with terminal.loading():
+        from bayes_aero.explore.opened import Simulator, open_result
+        from bayes_aero.explore.page import PageServer, page_of
+
+    with terminal.bar("reading") as tell:
+        simulator = Simulator(open_result(result, model, records or ()))
+        server = PageServer(page_of(simulator), port)
+        tell("compiling", 0.5)
+        simulator.result(0)
+    for sentence in simulator.opened.doubts:
+        terminal.teller().print(f"! {sentence}", soft_wrap=True)
+    terminal.teller().print(f"{simulator.opened.title} is open at {server.url} - Ctrl-C ends it.", soft_wrap=True)
+    server.serve(browser=browser)
+
+
+@terminal.with_options
+def qualify(
+    result: Annotated[
+        str,
+        typer.Argument(help="Folder (or JSON file) that fly, diagnose or identify wrote.", metavar="RESULT"),
+    ],
+    options: QualifyOptions,
+    records: Annotated[
+        list[Path] | None, typer.Argument(help=f"Further tests: records that were not fitted. {terminal.RECORDS}.")
+    ] = None,
+    out: terminal.OutOption = Path("qualification"),
+    json: terminal.JsonOption = False,
+) -> None:
+    """How probably the simulation passes each tolerance of the card: in the manoeuvres flown, and in the next flight.
+
+    Parameters, errors of the model's structure and gusts are counted. Writes a page for an evaluator to sign. Exit code
+    0, whatever the verdict; 3: the records are in doubt.
+
+    Example: bayes-aero qualify trajectories --out qualification
+    """
+    from bayes_aero.flight.reading import present
+
+    for path in (*(records or ()), *options.fitted):
+        present(path)
+    terminal.check_result(result)
+    with terminal.loading():
+        from bayes_aero.jobs.qualify import RESULTS, qualify_result
+        from bayes_aero.report.qualification import further_sentences, sentences, verdict_sentence, verdict_table
+
+    console = terminal.teller(quiet=json)
+    with terminal.working(out) as tell:
+        found, failures = qualify_result(result, tuple(records or ()), options, out=out, progress=tell)
+
+    def show() -> None:
+        console.print(verdict_sentence(found), soft_wrap=True)
+        console.print(verdict_table(found).terminal())
+        origins = [f"{name}: {text}" for name, text in found.origins.items()]
+        terminal.print_lines(console, (*sentences(found), *further_sentences(found.further), *origins))
+        console.print(f"Results are in {out}; qualification.html is to be signed or refused", soft_wrap=True)
+
+    terminal.conclude(console, found, show, json=out / RESULTS if json else None, failures=failures)
+
+
+# --- bayes-aero run.
+
+SILENCE = 15.0  # seconds without workers after which that is told also where there is no terminal
+SCHEMA = "bayes_aero/study/1"
+
+
+def run(
+    study: Annotated[Path, typer.Argument(help="A study (.toml).")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the results; default: STUDY_results, here.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the units and their state; do nothing.")] = False,
+    trust_effects: Annotated[
+        bool, typer.Option("--trust-effects", help="Run the effect files (Python) of its cards; read them first.")
+    ] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Number of processes on this machine.")] = None,
+    memory: Annotated[str | None, typer.Option(help="For each worker, e.g. 4GiB; default: an equal share.")] = None,
+    scheduler: Annotated[str | None, typer.Option(help="A Dask cluster, e.g. tcp://node1:8786.")] = None,
+    json: terminal.JsonOption = False,
+) -> None:
+    """Run a study: every combination of its records, cards, effects, noise models, splits and seeds.
+
+    Each unit gets a folder with its results and provenance.
+    Doing it again does what is missing, failed, or whose inputs have changed.
+    A unit that fails leaves error.txt, and the study goes on. A study file:
+
+    records = ["flights/*.csv"]
+
+    cards = ["attas"]
+
+    seeds = [0, 1]
+
+    options.gp = false
+
+    With --workers the units are shared out among processes; with --scheduler among the workers of a Dask cluster.
+
+    Example: bayes-aero run study.toml --out results --workers 4
+    """
+    if workers and scheduler:
+        raise InputError("--workers and --scheduler exclude each other; give one of them")
+    if memory and not workers:
+        raise InputError("--memory is for the processes of --workers; give how many")
+    if dry_run and (workers or scheduler):
+        raise InputError("--dry-run is done in this process; leave --workers and --scheduler out")
+    from bayes_aero.study.study import read_study
+
+    asked = read_study(study, trust_effects=trust_effects)  # a mistake is told before the libraries are loaded
+    with terminal.loading():
+        from bayes_aero.study.run import leftovers, plan
+
+    folder = out or Path(f"{study.stem}_results")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; give another folder with --out")
+    planned = plan(asked, folder)
+    console = terminal.teller(quiet=json)
+    rest = leftovers(asked, folder)
+    if rest:
+        console.print(f"! not of this study, left as they are: {', '.join(rest)}", soft_wrap=True)
+    told: Mapping[str, Mapping[str, Any]] = {}
+    code = 0
+    if dry_run:
+        print_plan(console, planned)
+    else:
+        told, verdict, unwritten = run_planned(asked, folder, planned, (workers, memory, scheduler))
+        code = print_outcome(console, folder, planned, told, verdict, unwritten)
+    if json:
+        terminal.print_json(study_results(asked, folder, [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]))
+    raise typer.Exit(code)
+
+
+def study_results(asked: Study, folder: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The study and its units as plain data."""
+    about = {"file": asked.path.name, "title": asked.title, "task": asked.task, "sha256": asked.sha256}
+    counts = dict(Counter(row["state"] for row in rows))
+    return {"schema": SCHEMA, "study": about, "out": str(folder), "counts": counts, "units": rows}
+
+
+def run_planned(
+    asked: Study, folder: Path, planned: list[Planned], cluster: tuple[int | None, str | None, str | None]
+) -> tuple[Mapping[str, Mapping[str, Any]], str, tuple[str, ...]]:
+    """What every unit that was due said, the study's verdict, and what could not be written."""
+    from bayes_aero.study.run import UNITS, StoppedError, plan, put_report, run_study
+
+    def resume() -> str:
+        done = sum(p.state.word == "done" for p in plan(asked, folder))
+        return f"{done} of {len(planned)} units are done and kept in {folder}; the same command does the rest"
+
+    due = any(p.state.word != "done" for p in planned)
+    try:
+        with (
+            terminal.interruptible(resume),
+            terminal.bar("reading", over=3600.0) as show,
+            unit_runner(*cluster if due else (None, None, None), folder / UNITS, show) as runner,
+        ):
+            told = run_study(
+                asked,
+                folder,
+                planned,
+                report=lambda n, of, unit, stage: show(f"{n + 1}/{of} {unit.name}: {stage}", n / max(of, 1)),
+                runner=runner,
+            )
+            show("report", 1.0)
+            return told, *put_report(asked, folder)
+    except StoppedError as reason:
+        print(f"error: {reason}; {resume()}", file=sys.stderr)
+        raise typer.Exit(terminal.FAILED) from None
+
+
+def print_outcome(
+    console: Console,
+    folder: Path,
+    planned: list[Planned],
+    told: Mapping[str, Mapping[str, Any]],
+    verdict: str,
+    unwritten: tuple[str, ...],
+) -> int:
+    """Doubts, failures, how many units were done now, the verdict, where the results are; returns the exit code."""
+    from bayes_aero.study.run import UNITS, doubts_of
+
+    doubts = [(p.unit.name, said) for p in planned for said in doubts_of(p.unit, folder / UNITS)]
+    for name, sentence in doubts:
+        console.print(f"! {name}: {sentence}", soft_wrap=True)
+    failed = [row for row in (_row(p) | dict(told.get(p.unit.name, {})) for p in planned) if row["state"] != "done"]
+    for row in failed:
+        console.print(f"✗ {row['name']}: {row['error']}", style="red", soft_wrap=True)
+    terminal.print_failures(console, unwritten)
+    now, every = len(told), len(planned)
+    console.print(f"{every} units: {now - len(failed)} done now, {every - now} were done, {len(failed)} failed.")
+    console.print(verdict, soft_wrap=True)
+    console.print(f"Results are in {folder}: report.html, units/, units.csv, summary.csv, environment/", soft_wrap=True)
+    return terminal.FAILED if failed or unwritten else terminal.DOUBT if doubts else 0
+
+
+def _row(p: Planned) -> dict[str, Any]:
+    return {"name": p.unit.name, "state": p.state.word, "why": p.state.why, "seconds": None, "error": p.state.why}
+
+
+def print_plan(console: Console, planned: list[Planned]) -> None:
+    """The units with their state."""
+    from bayes_aero.report.tables.table import Table, columns_of
+
+    of = columns_of(planned)
+    unit, state = of(lambda p: p.unit.name, terminal="unit", words=True), of(lambda p: p.state.word, terminal="state")
+    console.print(Table([unit, state, of(lambda p: p.state.why, terminal="why", words=True)]).terminal())
+    counts = Counter(p.state.word for p in planned)
+    console.print(f"{len(planned)} units: {', '.join(f'{n} {word}' for word, n in counts.items())}")
+
+
+@contextmanager
+def unit_runner(
+    workers: int | None, memory: str | None, scheduler: str | None, units: Path, show: Progress
+) -> Iterator[UnitRunner | None]:
+    """What does the units: a Dask cluster where one is asked for."""
+    if not workers and not scheduler:
+        yield None
+        return
+    try:
+        from bayes_aero.study import cluster
+    except ModuleNotFoundError as reason:
+        raise InputError(
+            f'--workers and --scheduler need {reason.name}; install it with: pip install "bayes-aero[cluster]"'
+        ) from None
+    speak = time.monotonic() + SILENCE
+
+    def tell(done: int, of: int, what: str, waiting: bool) -> None:
+        nonlocal speak
+        if waiting and time.monotonic() > speak:
+            speak = float("inf")  # once; a terminal shows it all the time
+            print(f"{what}; Ctrl-C stops", file=sys.stderr)
+        show(f"{done}/{of} done, {what}", done / max(of, 1))
+
+    if workers:
+        show(f"starting {workers} workers", 0.0)
+        runners = cluster.local(workers, cluster.memory_of(memory, workers), units, tell)
+    else:
+        runners = cluster.remote(str(scheduler), units, tell)
+    with runners as runner:
+        yield runner

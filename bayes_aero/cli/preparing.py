@@ -287,8 +287,7 @@ def simulate(
         raise InputError(f"{out} exists; give --force to overwrite it, or another name with --out")
     with terminal.loading():
         from bayes_aero.flight.card import read_card
-        from bayes_aero.jobs.catalogue import known_effects
-        from bayes_aero.jobs.simulate import parsed_effects, simulate_file
+        from bayes_aero.jobs.catalogue import known_effects, parsed_effects, simulate_file
         from bayes_aero.simulate.demo import Request
 
     card = read_card(model)

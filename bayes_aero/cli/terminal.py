@@ -123,7 +123,7 @@ def card_and_records(records: Sequence[Path], reading: ReadingOptions) -> tuple[
 
 def check_result(given: str) -> None:
     """Refuse what is neither a finished result nor a card, before the libraries are loaded."""
-    from bayes_aero.jobs.io.result_file import read_result, result_file
+    from bayes_aero.jobs.store import read_result, result_file
 
     file = result_file(given)
     if file is not None:
@@ -132,7 +132,7 @@ def check_result(given: str) -> None:
 
 def print_json(content: Mapping[str, Any]) -> None:
     """One JSON document on stdout; a number that does not exist (NaN, infinity) is null."""
-    from bayes_aero.jobs.provenance import as_json
+    from bayes_aero.jobs.store import as_json
 
     sys.stdout.write(as_json(dict(content)))
 

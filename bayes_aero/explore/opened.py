@@ -1,4 +1,4 @@
-"""A finished result with its records: what the page shows and what is flown again."""
+"""A finished result with its records: what the page shows, and its manoeuvres flown again by one compiled function."""
 
 from __future__ import annotations
 
@@ -9,32 +9,36 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics, biased_dynamics
+from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Identified
-from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs import fitted
-from bayes_aero.jobs.export import write_export
-from bayes_aero.jobs.io.result_file import read_result, result_file
-from bayes_aero.jobs.steps.record_checks import RecordChecks, record_checks
+from bayes_aero.jobs.check import RecordChecks, record_checks
+from bayes_aero.jobs.finished import FinishedResult, IdentifiedLinear, as_written, drawn, read_finished, write_export
+from bayes_aero.jobs.options import FIXED, HELD
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import despiked, join
+from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.parameter import Parameter
+from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.report.text.check import consistency_sentences
 from bayes_aero.report.text.phrases import for_people, plain_unit
+from bayes_aero.residuals.equation_error import EquationError
 
 
 @dataclass(frozen=True)
-class OpenedResult:
-    """A result of identify, fly or diagnose. SI and radians."""
+class OpenedResult(FinishedResult):
+    """A result with its flights. SI and radians."""
 
-    folder: Path
-    command: str  # identify, fly or diagnose
-    identified: fitted.Finished
-    card: Card  # with which the result was made
-    records: Sequence[FlightRecord]
-    told: Mapping[str, Any]  # what the result says
+    flown: Sequence[FlightRecord]
     errors: Mapping[str, float]  # standard errors by parameter, where the result has them
     departures: Mapping[str, Mapping[str, float]]
     """By manoeuvre and state, what was fitted to its measured value at the first sample; empty: the initial states are
@@ -54,15 +58,10 @@ class OpenedResult:
         return f"{self.command}: {self.folder}"
 
     @property
-    def linear(self) -> bool:
-        """Whether the model is a linear system."""
-        return isinstance(self.identified, fitted.IdentifiedLinear)
-
-    @property
     def limits(self) -> tuple[str, ...]:
         """Doubts about the records, and a sentence on each thing that the model or the fit has and the page has not."""
-        said = [*self.doubts, *([LIMITS] if self.linear else [])]
-        if self.command == "fly" and fitted.with_process_noise(self.told):
+        said = [*self.doubts, *([LIMITS] if self.linear is not None else [])]
+        if self.command == "fly" and self.filtered:
             said.append(
                 "The values are those of the fit with process noise. Its gusts and the noise of its states "
                 "are not flown here, as the result has no history of that noise: errors are those in still air."
@@ -72,49 +71,35 @@ class OpenedResult:
     def groups(self, added: tuple[str, ...] = ()) -> tuple[SliderGroup, ...]:
         """The sliders, with those of the effects that are `added`."""
         found = self.identified
-        if isinstance(found, fitted.IdentifiedLinear):
+        if isinstance(found, IdentifiedLinear):
             return linear_groups(found, self.errors)
         return groups_of(found.model, found.values, self.errors, added)
 
     def addable(self, channels: Sequence[str]) -> tuple[Effect, ...]:
         """Effects of the catalogue that may be added where these channels are known."""
         found = self.identified
-        return () if isinstance(found, fitted.IdentifiedLinear) else addable(found.model, channels)
-
-
-COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose"}
+        return () if isinstance(found, IdentifiedLinear) else addable(found.model, channels)
 
 
 def open_result(given: str, card: str | None = None, folders: Sequence[Path] = ()) -> OpenedResult:
     """Read the result in a folder or file, its card and its records, which may lie in `folders`."""
-    file = result_file(given)
-    if file is None:
-        raise InputError(f"{given} is a card; give the folder of a result of identify, fly or diagnose")
-    told = read_result(file)
-    identified, folder, told = fitted.read_finished(given, card)
-    assert folder is not None
-    whose = fitted.card_of(told["provenance"], file, card)
-    command = COMMANDS[told["schema"].split("/")[1]]
-    try:
-        remedy = "give its folder with --records"
-        records = fitted.fitted_records(told["provenance"], file, whose, remedy=remedy, folders=folders)
-        known = _fitted_numbers(told, command)
-    except (KeyError, TypeError, AttributeError, ValueError) as reason:
-        if isinstance(reason, InputError):
-            raise
-        raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
-    checks = record_checks(records, whose, seed=0, seek=False)
-    return OpenedResult(folder, command, identified, whose, records, told, *known, checks)
+    result = read_finished(given, card)
+    records = result.records("give its folder with --records", folders=folders)
+    with as_written(result.file):
+        numbers = _fitted_numbers(result)
+    return OpenedResult(
+        **vars(result), flown=records, **numbers, checks=record_checks(records, result.card, 0, seek=False)
+    )
 
 
-def _fitted_numbers(told: Mapping[str, Any], command: str) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+def _fitted_numbers(result: FinishedResult) -> dict[str, Any]:
     """Standard errors, the residuals' autocorrelation counted, and departures of the initial states of output error."""
-    departures: dict[str, dict[str, float]] = {}
-    if command == "identify":
+    told, departures = result.told, {}
+    if result.command == "identify":
         found = {name: p["crb_corrected"] for name, p in told["mle"]["parameters"].items()}
-    elif command == "fly":
+    elif result.command == "fly":
         found = {name: p["sd_corrected"] for name, p in told["parameters"].items()}
-        if fitted.with_process_noise(told):  # whose fit has no initial states
+        if result.filtered:  # whose fit has no initial states
             found |= {name: sd for name, (_, sd) in told["process_noise"]["estimates"].items()}
         else:
             for manoeuvre, states in told["initial_states"].items():
@@ -122,7 +107,8 @@ def _fitted_numbers(told: Mapping[str, Any], command: str) -> tuple[dict[str, fl
     else:
         found = {name: move["sd_after"] for name, move in told["base_parameters"].items()}
         found |= {name: p["sd"] for cause in told["causes"] for name, p in cause["parameters"].items()}
-    return {name: float(x) for name, x in found.items() if x is not None and x > 0.0}, departures
+    errors = {name: float(x) for name, x in found.items() if x is not None and x > 0.0}
+    return {"errors": errors, "departures": departures}
 
 
 # --- What is chosen on the page: values, effects that are off, effects that are added, and the model of it.
@@ -202,7 +188,7 @@ FOLDER = "exports"
 def chosen_model(opened: OpenedResult, choice: Choice, values: Mapping[str, float]) -> Identified:
     """The model with the added effects at `values` (SI) of what is flown; what is off is fixed at neutral."""
     identified = opened.identified
-    if isinstance(identified, fitted.IdentifiedLinear):
+    if isinstance(identified, IdentifiedLinear):
         raise InputError(LIMITS.removesuffix("."))
     model = with_added(identified.model, choice.added)
     off = {p.name: p.neutral for e in model.effects if e.name in choice.off for p in e.parameters}
@@ -239,7 +225,7 @@ LIMITS = (
 )
 
 
-def linear_groups(found: fitted.IdentifiedLinear, errors: Mapping[str, float]) -> tuple[SliderGroup, ...]:
+def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple[SliderGroup, ...]:
     """The parameters of each row, every parameter once, with the row that the card writes first; `errors` in SI."""
     rows, free = found.rows, {p.name: p for p in found.fitted.free}
     many = {name: found.fitted.names_of(name) for name in rows.by_manoeuvre}
@@ -315,3 +301,169 @@ def slider(p: Parameter, value: float, error: float, largest: float) -> Slider:
     unit, factor = for_people(p.unit)
     shown = (factor * x for x in (value, error, low, high))
     return Slider(p.name, plain_unit(unit), factor, p.description, *shown)
+
+
+# --- One manoeuvre of a result, flown again at any values by one compiled function.
+
+DRAWS = 40  # of the fan
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A manoeuvre as flown at some values, SI and radians, each quantity (n,)."""
+
+    values: Mapping[str, float]
+    simulated: Mapping[str, Float[np.ndarray, " n"]]  # with the model's sensor errors, as a recorder would have them
+    coefficients: Mapping[str, Float[np.ndarray, " n"]]  # of the model, along the recorded motion, and X
+    formed: Mapping[str, Float[np.ndarray, " n"]]  # from the record under the same values
+    inside: Bool[np.ndarray, " n"]  # the envelope until now
+
+
+Ready = tuple[SegmentTrajectories, EquationError | None, Float[np.ndarray, "1 b"]]
+"""A manoeuvre and a model, prepared for the compiled function, and the departure of the initial state."""
+
+
+@dataclass(frozen=True)
+class FlownModel:
+    """A model of certain effects (None: a linear system), what flies it, and the integration steps a sample."""
+
+    model: Model | None
+    dynamics: Dynamics
+    substeps: int
+
+
+class Simulator:
+    """The manoeuvres of a result under its model and under models derived from it; what is prepared is kept."""
+
+    def __init__(self, opened: OpenedResult) -> None:
+        """Join the records."""
+        self.opened = opened
+        self.card, _ = on_recorded_axes(opened.card, opened.flown, OF_AXIS, DERIVED)
+        found = opened.identified
+        required = found.rows.inputs if isinstance(found, IdentifiedLinear) else FLIGHT
+        self.flights, _ = despiked(join(opened.flown, self.card, required))
+        setting = opened.told.get("setting", {})
+        self.held = setting.get("inputs") == HELD
+        self.fixed = self.card.fly.initial_state if setting.get("initial_state") == FIXED else None
+        self.biases = self.card.output_biases if opened.command == "fly" else {}
+        self._ready: dict[Any, Ready] = {}
+        self._results: dict[int, Flown] = {}
+        self._structures: dict[tuple[tuple[str, ...], frozenset[str]], FlownModel] = {}
+        dynamics = self._structure(Choice()).dynamics
+        self.outputs = tuple(n for n in dynamics.outputs if n in self.flights.channels)
+        self.inputs = tuple(n for n in dynamics.inputs if n in self.flights.channels and n not in self.outputs)
+        self.no_coefficients = ""
+
+    @property
+    def manoeuvres(self) -> tuple[str, ...]:
+        """Names of the manoeuvres."""
+        return self.flights.names
+
+    def time(self, manoeuvre: int) -> Float[np.ndarray, " n"]:
+        """Time from the start of the record, s."""
+        return self.flights.time[self.flights.manoeuvre == manoeuvre]
+
+    def recorded(self, manoeuvre: int) -> dict[str, Float[np.ndarray, " n"]]:
+        """Recorded outputs and inputs."""
+        own = self.flights.manoeuvre == manoeuvre
+        return {name: np.asarray(self.flights.channels[name])[own] for name in (*self.outputs, *self.inputs)}
+
+    def result(self, manoeuvre: int) -> Flown:
+        """The manoeuvre at the values of the result; flown once."""
+        if manoeuvre not in self._results:
+            self._results[manoeuvre] = self.fly(manoeuvre, Choice())
+        return self._results[manoeuvre]
+
+    def fly(self, manoeuvre: int, choice: Choice) -> Flown:
+        """The manoeuvre at the chosen values."""
+        values = self._values(choice)
+        theta = jnp.asarray(list(values.values()))
+        flown, residuals, departure = self._prepared(manoeuvre, choice, values)
+        simulated, inside, formed, modelled, X = _fly(flown, residuals, theta, jnp.asarray(departure))
+        found: dict[str, Any] = {}
+        measured: dict[str, Any] = {}
+        if residuals is not None:
+            names = residuals.model.coefficients
+            found = dict(zip(names, np.asarray(modelled).T, strict=True)) | {"X": np.asarray(X)}
+            measured = dict(zip(names, np.asarray(formed).T, strict=True))
+        paths = dict(zip(flown.outputs, np.asarray(simulated).T, strict=True))
+        return Flown(values, paths, found, measured, np.asarray(inside))
+
+    def fan(self, manoeuvre: int, count: int = DRAWS, seed: int = 0) -> tuple[str, dict[str, np.ndarray]]:
+        """Outputs and coefficients (m, n) of draws of the result's parameters, and where the draws come from."""
+        opened, values = self.opened, self._values(Choice())
+        draws = drawn(opened, opened.identified.names, count, seed)
+        theta = np.tile(list(values.values()), (count, 1))
+        for k, name in enumerate(draws.names):
+            if name in values:
+                theta[:, list(values).index(name)] = draws.values[:, k]
+        flown, residuals, departure = self._prepared(manoeuvre, Choice(), values)
+        simulated, _, _, modelled, X = _fly_draws(flown, residuals, jnp.asarray(theta), jnp.asarray(departure))
+        found = dict(zip(flown.outputs, np.moveaxis(np.asarray(simulated), 2, 0), strict=True))
+        if residuals is not None:
+            found |= dict(zip(residuals.model.coefficients, np.moveaxis(np.asarray(modelled), 2, 0), strict=True))
+            found["X"] = np.asarray(X)
+        return draws.origin, found
+
+    def _structure(self, choice: Choice) -> FlownModel:
+        key = choice.added, choice.off
+        if key not in self._structures:
+            opened = self.opened
+            asked = opened.told.get("fitted_outputs", ()) if opened.command == "fly" else ()
+            if isinstance(opened.identified, IdentifiedLinear):  # has nothing to choose
+                model, plain = None, opened.identified.dynamics(self.flights)
+            else:
+                model = flown_model(opened.identified.model, choice)
+                plain = aircraft_dynamics(model, self.flights, asked)
+            dynamics = biased_dynamics(plain, self.flights, self.biases)
+            steps = dynamics.substeps_at({p.name: p.start for p in dynamics.free}, self.flights)
+            self._structures[key] = FlownModel(model, dynamics, steps)
+        return self._structures[key]
+
+    def _values(self, choice: Choice) -> dict[str, float]:
+        """Of the model and of the biases of outputs."""
+        opened, own = self.opened, self._structure(choice)
+        values = opened.identified.values
+        found = {**values, **choice.values} if own.model is None else values_of(own.model, values, choice)
+        fitted = {name: p["estimate"] for name, p in opened.told.get("parameters", {}).items()}
+        every = {p.name: p.start for p in own.dynamics.free} | fitted | found
+        return {name: float(every[name]) for name in own.dynamics.names}
+
+    def _prepared(self, manoeuvre: int, choice: Choice, values: Mapping[str, float]) -> Ready:
+        """Cut and stepped as by `fly`; finer where a lag is now shorter than where that fit begins."""
+        own = self._structure(choice)
+        steps = max(own.substeps, own.dynamics.substeps_at(values, self.flights))
+        key = manoeuvre, own.dynamics, steps
+        if key not in self._ready:
+            options = {"outputs": self.outputs, "substeps": steps, "fixed": self.fixed, "held": self.held}
+            whole = segments(self.flights, own.dynamics, **options)
+            away = self.opened.departures.get(self.manoeuvres[manoeuvre], {})
+            departure = np.array([[away.get(name, 0.0) for name in own.dynamics.start]])
+            alone = whole.part([manoeuvre]).nameless
+            n = int(alone.inside.sum())  # without the samples that give all segments one length
+            cut = {name: getattr(alone, name)[:, :n] for name in ("index", "inside", "noise_growth")}
+            residuals = None
+            if own.model is not None:
+                try:
+                    record, _ = despiked(join([self.opened.flown[manoeuvre]], self.card))
+                    flights = replace(record.nameless, channels=dict(record.channels))
+                    residuals = EquationError(flights, own.model, (), ())
+                except InputError as reason:
+                    self.no_coefficients = f"Coefficients are not shown: {reason}."
+            self._ready[key] = replace(alone, **cut), residuals, departure
+        return self._ready[key]
+
+
+def _one(flown: SegmentTrajectories, residuals: EquationError | None, theta: Any, departure: Any) -> tuple:
+    """Simulated outputs (n, c), whether inside, measured and modelled coefficients and X."""
+    found = simulate(flown, theta, departure)
+    paths = (found.measured - found.residual)[0], found.trajectory.inside[0]
+    if residuals is None:
+        return (*paths, None, None, None)
+    own = theta[: len(residuals.model.free)]  # biases of outputs are behind
+    _, details = residuals.traced(own)
+    return (*paths, details["measured"], details["modelled"], details["X"])
+
+
+_fly = eqx.filter_jit(_one)
+_fly_draws = eqx.filter_jit(eqx.filter_vmap(_one, in_axes=(None, None, 0, None)))

@@ -1,10 +1,14 @@
-"""The page of one visitor: what is asked in the browser is flown, drawn and answered."""
+"""The page of one visitor: what is asked in the browser is flown, drawn and answered; and its server."""
 
 from __future__ import annotations
 
+import errno
 import json
+import logging
 import math
+import socket
 import time as clock
+import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import resources
@@ -17,15 +21,22 @@ from bokeh.document import Document
 from bokeh.layouts import column
 from bokeh.model import DataModel
 from bokeh.plotting import figure
+from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
+from bokeh.settings import settings
 from jaxtyping import Bool, Float
+from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPMessageDelegate, HTTPServerRequest
+from tornado.ioloop import IOLoop
+from tornado.routing import Router
+from tornado.web import ErrorHandler
 
 from bayes_aero import __version__
 from bayes_aero.errors import InputError, failure
-from bayes_aero.explore.opened import Choice, export_chosen
-from bayes_aero.explore.simulator import DRAWS, Flown, Simulator
+from bayes_aero.explore.opened import DRAWS, Choice, Flown, Simulator, export_chosen
 from bayes_aero.flight.card import channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.jobs.export import FORMS
+from bayes_aero.jobs.finished import FORMS
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.plots import FARTHEST, Line, extremes, scale
 from bayes_aero.report.text.phrases import axis_label, bracket, for_people
@@ -72,7 +83,7 @@ class ExplorePage:
             "manoeuvres": simulator.manoeuvres,
             "addable": [(e.name, e.claim) for e in self.opened.addable(tuple(simulator.flights.channels))],
             "limits": self.opened.limits,
-            "linear": self.opened.linear,
+            "linear": self.opened.linear is not None,
             "forms": tuple(FORMS),
             "legend": [(key, COLOURS[key], words) for key, words in WORDS.items()],
             "sources": self.opened.identified.sources,
@@ -457,3 +468,73 @@ def window_of(time: Curve, window: tuple[float, float] | None) -> Bool[np.ndarra
     """Samples in a window of time, s; all, where there is none or it has fewer than two."""
     inside = np.zeros(0, bool) if window is None else (time >= window[0]) & (time <= window[1])
     return inside if inside.sum() > 1 else np.ones(len(time), bool)
+
+
+# --- The server of the page: this machine alone, nothing from a network.
+
+ADDRESS = "127.0.0.1"
+FORBIDDEN = 403
+
+
+class LocalOnly(Router):
+    """Requests whose Host header names this machine go to the page, all others are refused. A foreign name that
+    resolves to 127.0.0.1 could otherwise read the page through the user's browser."""
+
+    def __init__(self, app: BokehTornado, hosts: frozenset[str]) -> None:
+        """`hosts`: names with port."""
+        self.app, self.hosts = app, hosts
+
+    def find_handler(self, request: HTTPServerRequest, **kwargs: object) -> HTTPMessageDelegate | None:  # noqa: ARG002
+        """The page's, or that of a refusal."""
+        if request.host.lower() in self.hosts:
+            return self.app.find_handler(request)
+        return self.app.get_handler_delegate(request, ErrorHandler, {"status_code": FORBIDDEN})
+
+
+class PageServer:
+    """A running server; `url` is its address."""
+
+    def __init__(self, fill: Callable[[Document], None], port: int = 0) -> None:
+        """Listen at once.
+
+        Args:
+            fill: makes the page of one visitor.
+            port: of this machine; 0: any free one.
+
+        Raises:
+            InputError: the port is taken or may not be used.
+        """
+        for name in ("bokeh", "tornado"):
+            logging.getLogger(name).setLevel(logging.ERROR)
+        settings.resources = "server"  # whatever the environment says: no content delivery network,
+        settings.allowed_ws_origin = []  # and no other origin
+        try:
+            listening = socket.create_server((ADDRESS, port))
+        except OSError as reason:
+            taken = "it is taken" if reason.errno == errno.EADDRINUSE else reason.strerror or reason
+            raise InputError(f"port {port} cannot be used ({taken}); give another --port, or none") from None
+        listening.setblocking(False)
+        self.port = int(listening.getsockname()[1])
+        hosts = frozenset(f"{name}:{self.port}" for name in (ADDRESS, "localhost"))
+        self.url = f"http://{ADDRESS}:{self.port}/"
+        app = BokehTornado({"/": fill}, extra_websocket_origins=sorted(hosts), absolute_url=self.url)
+        http = HTTPServer(LocalOnly(app, hosts))
+        http.add_socket(listening)
+        self.loop = IOLoop.current()
+        self._server = BaseServer(self.loop, app, http)
+
+    def serve(self, *, browser: bool = False) -> None:
+        """Until Ctrl-C; `browser`: open the page in the user's."""
+        self._server.start()
+        if browser:
+            self.loop.add_callback(webbrowser.open, self.url)
+        try:
+            self.loop.start()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            self.stop()
+
+    def stop(self) -> None:
+        """Take no more requests."""
+        self._server.stop(wait=False)

@@ -20,7 +20,7 @@ from bayes_aero.flight.health.finding import noise_of, quantum
 from bayes_aero.flight.reading import RawColumn, read_raw, repeats
 from bayes_aero.flight.record import parts_of
 from bayes_aero.jobs.column_inference import Guess, guessed
-from bayes_aero.jobs.provenance import picked, provenance, sha256_of
+from bayes_aero.jobs.store import picked, provenance, sha256_of
 from bayes_aero.physics.aircraft import AIRCRAFT_KEYS, FORMED_FROM, REQUIRED, Axis
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
@@ -35,6 +35,20 @@ LEVEL = {"phi": "deg", "beta": "deg", "ay": "m/s^2"}  # the flight path's, zero 
 STILL = np.deg2rad(0.5)  # rad/s of roll and yaw rate, in the mean square
 SPOOL = re.compile(r"(?<![A-Za-z0-9])N[123](?![0-9])", re.IGNORECASE)  # a heading's word for the speed of a spool
 KINEMATIC = ("theta", "phi", "beta", "ay", "altitude")
+
+
+class Todo(str):
+    """A line of the card that its user completes: the key, and what it is."""
+
+    key: str
+    what: str
+
+    @classmethod
+    def of(cls, key: str, entry: str, what: str) -> Todo:
+        """The line of an entry."""
+        line = cls(f"{key} = {entry} {comment(what)}")
+        line.key, line.what = key, what
+        return line
 
 
 @dataclass(frozen=True)
@@ -96,8 +110,7 @@ def starter_card(path: Path) -> Starter:
         *sensors_block(found),
         *model_block(found, "mach" in found or "mach" in _derivable(found)),
     ]
-    open_lines = [line for line in lines if '"TODO' in line and not line.startswith("#")]
-    todo = [(line.split(" =")[0].strip(), line.partition(" # ")[2]) for line in open_lines]
+    todo = [(line.key, line.what) for line in lines if isinstance(line, Todo)]
     text = "\n".join(lines) + "\n"
     read_back(text, path.name)
     return Starter(text, todo, found, unknown)
@@ -123,13 +136,13 @@ def channels_block(
     for name, guess in found.items():
         optional = "" if name in NEEDED or name in KINEMATIC else ", required = false"
         sign = ", sign = -1" if guess.sign < 0 else ""
-        entry = f"{name} = {{ {_place(guess.column)}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
-        doubt = _implausible(name, guess)
+        entry = f"{{ {_place(guess.column)}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
+        doubt, said = _implausible(name, guess), f"guess: {guess.evidence}; {_range(guess.values)}"
         if not doubt:
-            yield f"{entry} {comment(f'guess: {guess.evidence}; {_range(guess.values)}')}"
+            yield Todo.of(name, entry, said) if guess.unit is None else f"{name} = {entry} {comment(said)}"
             continue
         yield comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
-        yield f"# {entry}"
+        yield f"# {name} = {entry}"
         if name in NEEDED:
             yield _absent(name, place, "what the file has was not taken")
     if unknown:
@@ -166,7 +179,7 @@ def _absent(name: str, place: str, why: str = "was not found in the file") -> st
     if name in ACCELERATIONS:
         said = f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:"
         return f'{comment(said)}\n# {name} = {{ {place} = "...", unit = "{unit}" }}'
-    return f'{name} = {{ {place} = "TODO", unit = "{unit}" }} {comment(f"{what}; {why}")}'
+    return Todo.of(name, f'{{ {place} = "TODO", unit = "{unit}" }}', f"{what}; {why}")
 
 
 def _implausible(name: str, guess: Guess) -> str:
@@ -228,12 +241,13 @@ def constants_block(found: Mapping[str, Guess]) -> Iterator[str]:
         for name, rule in derived.items():
             yield f'{name} = "{rule}" # guess; {"what the file has was not taken" if name in found else "not found"}'
         yield ""
-    lines = []
+    lines: list[str] = []
     engine = next((name for name in ENGINE if name in found), None)
     if engine and not any(name.startswith("thrust") for name in found):
         yield f"# Thrust may be read off a table over {engine} instead; see [tables.NAME] in the reference of the card."
     if "density" not in found and "density" not in derived:
-        lines.append('density = "TODO" # of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found')
+        what = 'of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found'
+        lines.append(Todo.of("density", '"TODO"', what))
     if "thrust" not in found and not _taken(found) >= {"thrust_left", "thrust_right"}:
         sides = [name for name in ("thrust_left", "thrust_right") if name in found]
         was = (
@@ -241,7 +255,8 @@ def constants_block(found: Mapping[str, Guess]) -> Iterator[str]:
             f"only {sides[0]} was" if sides else "",
             "both sides were found, but not taken",
         )
-        lines.append(f'thrust = "TODO" # total net thrust, e.g. "2500 N"; {was[len(sides)]}. Drag is as good as this')
+        what = f'total net thrust, e.g. "2500 N"; {was[len(sides)]}. Drag is as good as this'
+        lines.append(Todo.of("thrust", '"TODO"', what))
     lines += [
         f'{name} = "0 rad/s" # guess: found under no heading, taken as zero' for name in LATERAL if name not in found
     ]
@@ -293,7 +308,7 @@ def aircraft_block() -> Iterator[str]:
     """Lines of `[aircraft]`: what is needed as TODO with its unit, what is optional as a comment."""
     yield "[aircraft]"
     for key, meaning in MEANING.items():
-        yield f'{key} = "TODO" # {meaning}; write "... {AIRCRAFT_KEYS[key]}", or another unit of the kind'
+        yield Todo.of(key, '"TODO"', f'{meaning}; write "... {AIRCRAFT_KEYS[key]}", or another unit of the kind')
     yield "# aspect_ratio = 7.0 # left out, it is span squared over wing area"
     yield "# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero."
     for key, meaning in PLACES.items():

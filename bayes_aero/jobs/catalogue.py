@@ -1,18 +1,31 @@
-"""The effects that a user can name: built-in ones and those of a card, as plain data and as a folder with a page."""
+"""Effects by name: listed, written as a file by a diagnosis, and hidden in a simulated record."""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.effect import Effect
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.jobs.provenance import picked, provenance, write_json
+from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.record import WRITERS, write_record
+from bayes_aero.jobs.store import picked, provenance, sha256_of, writable, write_json
 from bayes_aero.model.model import own_effects
+from bayes_aero.parameter import Parameter
+from bayes_aero.units import quantity_to_si
+
+if TYPE_CHECKING:  # what computes and draws is heavy, and a study reads this module
+    from bayes_aero.diagnosis.result import FoundTerm
+    from bayes_aero.simulate.demo import Request
+    from bayes_aero.simulate.injection import Synthetic
 
 WORDS = 3  # effects that an unknown name is taken to mean
 
@@ -70,7 +83,6 @@ def write_effects_page(
     found: Sequence[Mapping[str, Any]], schema: str, card: Card | None, out: Path
 ) -> tuple[str, ...]:
     """Write effects.json, report.html and its picture into `out`; a sentence on what of the page cannot be made."""
-    from bayes_aero.jobs.io.result_file import writable  # what draws is heavy, and a study reads this module
     from bayes_aero.report.figures.prior import channels_needed
     from bayes_aero.report.html.page import Gallery, Report, put_page
     from bayes_aero.report.pages.effects import effects_page, picture_words
@@ -88,3 +100,186 @@ def write_effects_page(
         return effects_page(found, provenance(card, [], None, {}), None if card is None else card.title, pictures)
 
     return put_page(page, out)
+
+
+# --- An effect file of the terms that a diagnosis found, for a card to name.
+
+HEAD = '''"""Terms that bayes-aero diagnose found in {records}."""
+
+from bayes_aero import Effect, Parameter, Prior, Stage
+{imports}from bayes_aero.effect import Example, Kind
+'''
+IMPORTED = {
+    "xp.": "from bayes_aero.arrays import xp\n",
+    "reduced(": "from bayes_aero.physics.kinematics import reduced\n",
+    "reduced_lateral(": "from bayes_aero.physics.kinematics import reduced_lateral\n",
+}
+TERM = '''
+
+def _{name}(v, s, a, known):
+    """{coefficient} += {parameter} {term}."""
+    return {{"{coefficient}": v["{parameter}"] * {code}}}
+
+
+{constant} = Effect(
+    name="{name}",
+    kind=Kind.AERODYNAMICS,
+    stage=Stage.TOTAL,
+    claim="{coefficient} has a term {term}.",
+    parameters=(Parameter("{parameter}", "{unit}", 0.0, 0.0, "factor of {term}", Prior("normal", 0.0, {largest!r})),),
+    channels={channels!r},
+    increments=_{name},
+    example=Example({{"{parameter}": 0.0}}, {{}}, {{"{coefficient}": 0.0}}, "neutral: it adds nothing"),
+    source="found in {records}: {size:.4g} with a standard error of {sd:.2g}",
+    sizes={{"{parameter}": ({least!r}, {largest!r})}},
+)
+'''
+LARGEST = 5.0  # times what was found, the largest plausible factor; our choice
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise `InputError` for a path that something is at, or that is no Python file."""
+    if path.exists():
+        raise InputError(f"{path} exists; give another name to --write-effect")
+    if path.suffix != ".py":
+        raise InputError(f"{path}: an effect file is Python; give --write-effect a name that ends in .py")
+
+
+def write_effects(terms: Sequence[FoundTerm], records: Sequence[str], path: Path) -> str:
+    """Write the terms of a diagnosis that an effect file can state, and say what was written in a sentence."""
+    stated = [one for one in terms if one.term.code is not None]
+    if not stated:
+        return f"No term was found that an effect file can state, so {path} was not written."
+    try:
+        write_whole(effect_file(stated, records), path)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written ({error.strerror}); give --write-effect another name") from None
+    return f"{path} has {len(stated)} effect{'s' * (len(stated) > 1)}; name it under [model] effect_files of the card."
+
+
+def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
+    """Its text."""
+    told = re.sub(r"[^\w.@:+ -]", "_", " and ".join(records))  # a name becomes part of a program
+    code = " ".join(one.term.code or "" for one in terms)
+    parts = [HEAD.format(records=told, imports="".join(line for used, line in IMPORTED.items() if used in code))]
+    for one in terms:
+        plain = one.term.name.lower().replace("(1 - x)", "separated").replace("^", "").replace("+", "plus")
+        slug = re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
+        parts.append(
+            TERM.format(
+                name=f"{one.coefficient.lower()}_{slug}",
+                constant=f"{one.coefficient.upper()}_{slug.upper()}",
+                coefficient=one.coefficient,
+                parameter=f"{one.coefficient}_{slug}",
+                term=one.term.name,
+                unit=one.term.unit,
+                code=one.term.code,
+                channels=one.term.channels,
+                records=told,
+                size=one.size[0],
+                sd=one.size[1],
+                least=_digits(one.least),
+                largest=_digits(LARGEST * max(abs(one.size[0]), one.least)),
+            )
+        )
+    return "".join(parts)
+
+
+def _digits(x: float) -> float:
+    return float(f"{x:.3g}")
+
+
+# --- The job of `bayes-aero simulate`: a record on disk, with its truth beside it.
+
+TRUTH_SCHEMA = "bayes_aero/truth/1"
+
+
+def simulate_file(
+    request: Request, card: Card, known: Mapping[str, Effect], out: Path, *, page: bool = False
+) -> tuple[Synthetic, dict[str, Any], tuple[str, ...]]:
+    """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again.
+
+    With `page` there is `out`.report.html, too; the last item states what of it could not be made.
+    """
+    from bayes_aero.report.html.page import put_page
+    from bayes_aero.report.pages.check import simulated_page
+    from bayes_aero.simulate.injection import synthetic
+
+    if out.suffix.lower() not in WRITERS:
+        raise InputError(f"{out}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")
+    if not out.parent.is_dir():
+        raise InputError(f"{out}: there is no folder {out.parent}; make it, or name another file with --out")
+    found = synthetic(request, card, known, out.stem)
+    record = found.record
+    write_record(record, out, [c for c in card.channels if record.has(c.name)])
+    try:
+        read_record(out, card.channels)
+    except InputError:
+        out.unlink(missing_ok=True)
+        raise
+    asked = asdict(request) | {"duration": request.seconds}
+    source = provenance(card, [record], request.seed, {k: v for k, v in asked.items() if k not in ("effects", "seed")})
+    del source["inputs"]
+    truth = {
+        "schema": TRUTH_SCHEMA,
+        "file": {"name": out.name, "sha256": sha256_of(out)},
+        "seed": request.seed,
+        "effects": request.effects,
+        **picked(found, "parameters", "disturbance", "sensor_noise", "notes"),
+        "provenance": source,
+    }
+    write_json(truth, out.with_name(out.name + ".truth.json"))
+    failures: tuple[str, ...] = ()
+    if page:
+        flown = [p for e in known.values() for p in e.parameters if p.name in found.parameters]
+        failures = put_page(lambda: simulated_page(record, card, truth, flown), out.parent, out.name + ".report.html")
+    return found, truth, failures
+
+
+# --- Effects as they are asked for on the command line and in studies: "NAME=VALUE" or "NAME.PARAMETER=VALUE".
+
+
+def parsed_effects(given: Sequence[str], known: Mapping[str, Effect]) -> dict[str, dict[str, float]]:
+    """True values by effect and parameter, in SI; a value may carry a unit, "pitch_rate_bias=0.2 deg/s"."""
+    from bayes_aero.simulate.demo import TRUTH
+
+    found: dict[str, dict[str, float]] = {}
+    for text in given:
+        left, equals, right = text.partition("=")
+        name, _, wanted = left.strip().partition(".")
+        if not equals or not right.strip():
+            raise InputError(f"--effect {text!r} has no value; write NAME=VALUE, e.g. pitch_rate_bias=0.01")
+        parameter = _parameter_of(effect_named(name, known), wanted, text)
+        values = found.setdefault(name, {})
+        if parameter.name in values:
+            raise InputError(f"--effect gives {parameter.name} twice; keep one of the two")
+        try:
+            value = float(right)
+        except ValueError:
+            value = quantity_to_si(right.strip(), parameter.unit, f"--effect {text!r}: {parameter.name}")
+        lower, upper = parameter.bounds
+        if not (math.isfinite(value) and lower <= value <= upper):
+            raise InputError(f"--effect {text!r}: {parameter.name} must lie between {lower:g} and {upper:g}")
+        values[parameter.name] = value
+    for name, values in found.items():
+        missing = [p.name for p in known[name].parameters if p.name not in values and p.name not in TRUTH]
+        if missing:
+            raise InputError(
+                f"effect {name} has also the parameter {missing[0]}; add --effect {name}.{missing[0]}=VALUE"
+            )
+    return found
+
+
+def _parameter_of(effect: Effect, wanted: str, text: str) -> Parameter:
+    """The parameter that an effect has by this name, or its only one."""
+    own = {p.name: p for p in effect.parameters}
+    if not own:
+        raise InputError(f"--effect {text!r}: {effect.name} has no parameter, so there is nothing to set")
+    if wanted:
+        if wanted not in own:
+            raise InputError(f"--effect {text!r}: {effect.name} has no parameter {wanted}, but {', '.join(own)}")
+        return own[wanted]
+    if len(own) > 1:
+        names = " and ".join(f"{effect.name}.{p}=VALUE" for p in own)
+        raise InputError(f"--effect {text!r}: {effect.name} has {len(own)} parameters; write {names}")
+    return next(iter(own.values()))

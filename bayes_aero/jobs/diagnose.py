@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from threading import Event, Lock
+from threading import Event
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -24,16 +24,14 @@ from bayes_aero.dynamics.pilot import ANYWHERE
 from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.errors import InputError, attempted
+from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome, diagnosis_results
-from bayes_aero.jobs.io.result_file import writable
-from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
+from bayes_aero.jobs.check import record_checks
+from bayes_aero.jobs.io.results import Hidden, Outcome, diagnosed, diagnosis_results, flights, put_histories
 from bayes_aero.jobs.options import DiagnoseOptions
-from bayes_aero.jobs.provenance import picked, provenance, write_json
-from bayes_aero.jobs.steps.record_checks import record_checks
+from bayes_aero.jobs.store import Growing, picked, provenance, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import on_recorded_axes
@@ -107,17 +105,18 @@ def diagnose_records(
     named = {name: place_of(view.diagnosis, name) for name in hidden} if hidden else {}
     failed = (*checks.failures, *found.failures)
     outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
-    kept = ResultStore(outcome, out, card, records, source)
-    kept.keep(left_out)
+    kept = ResultStore(card, records, out, source)
+    kept.result = outcome
+    kept.keep(left_out, view={"diagnosis": view.diagnosis, "trajectories": view.trajectories})
     follow_up(kept, records, card, options, progress)
-    return kept.outcome
+    return kept.result
 
 
 def follow_up(
     kept: ResultStore, records: Sequence[FlightRecord], card: Card, options: DiagnoseOptions, progress: Progress | None
 ) -> None:
     """What follows the search for causes, the trajectories beside all the rest; then the page."""
-    diagnosis = kept.outcome.diagnosis
+    diagnosis, attempt = kept.result.diagnosis, partial(kept.attempt, bad="{}: {}")
     shown = DIAGNOSIS_FIGURES if options.figures else {}
     early, late = ({n: draw for n, draw in shown.items() if (n in AFTER_TRAJECTORIES) == x} for x in (False, True))
     with (
@@ -127,24 +126,22 @@ def follow_up(
         if cores() == 1:
             following.result()
         if options.trajectories:
-            kept.attempt(
-                "Trajectories were not simulated",
-                lambda: kept.keep(view={"trajectories": simulations(diagnosis, card, records, options.seed, progress)}),
-            )
+            fly = partial(simulations, diagnosis, card, records, options.seed, progress)
+            attempt("Trajectories were not simulated", lambda: kept.keep(view={"trajectories": fly()}))
         if diagnosis.compared == TRAJECTORIES:
             # By trajectories alone hold-out flights and the sensors' noise judge the causes.
-            if (flown := kept.outcome.view.trajectories) is not None:
+            if (flown := kept.result.view.trajectories) is not None:
                 held = {name for names in flown.held.values() for name in names}
                 diagnosis = judged_on_held_out_flights(diagnosis, flown.asked, held)
             kept.keep(view={"diagnosis": with_tested(diagnosis, flown, records, card)})
             if not options.trajectories and diagnosis.causes:
                 kept.keep(["Without trajectories no cause was tested on hold-out flights."])
-        elif (flown := kept.outcome.view.trajectories) and (
+        elif (flown := kept.result.view.trajectories) and (
             doubtful := sensors_not_missed(diagnosis, flown.asked)
         ).missed:
             kept.keep(view={"diagnosis": judged_on_held_out_flights(diagnosis, doubtful)})
         drawn = following.result()
-    if kept.path is not None:
+    if kept.out is not None:
         drawn |= drawings(kept, late, progress)
         if progress:
             progress("report", 0.0)
@@ -164,20 +161,12 @@ def place_of(diagnosis: Diagnosis, name: str) -> str:
 # --- What a diagnosis has found so far, on disk as soon as it is known.
 
 
-class ResultStore:
-    """An outcome that grows, and diagnosis.json with it, whichever thread found more; `path`: the folder, if any."""
+class ResultStore(Growing[Outcome]):
+    """A diagnosis that grows, with diagnosis.json, its tables and histories."""
 
-    def __init__(
-        self,
-        outcome: Outcome,
-        path: Path | None,
-        card: Card,
-        records: Sequence[FlightRecord],
-        source: Mapping[str, Any],
-    ) -> None:
-        self.outcome, self.path = outcome, path
-        self._card, self._records, self._source, self._lock = card, records, source, Lock()
-        self.keep(view={"diagnosis": outcome.diagnosis, "trajectories": outcome.view.trajectories})
+    def write(self, out: Path) -> None:
+        """diagnosis.json."""
+        write_json(diagnosis_results(self.result, self.card, self.records, self.source), out / "diagnosis.json")
 
     def keep(
         self,
@@ -187,49 +176,36 @@ class ResultStore:
         **changes: Any,
     ) -> None:
         """Put more into the outcome and on disk: `notes` on what was left out, parts of its view, other parts."""
-        with self._lock:
-            o = self.outcome
-            seen = replace(o.view, **view) if view else o.view
-            more = {"notes": (*o.notes, *notes), "failures": (*o.failures, *failures)}
-            self.outcome = replace(o, view=seen, **more, **changes)
-            if self.path is not None:
-                content = diagnosis_results(self.outcome, self._card, self._records, self._source)
-                write_json(content, self.path / "diagnosis.json")
-        if self.path is None:
+        with self.lock:
+            seen = replace(self.result.view, **view) if view else self.result.view
+            super().keep(notes, failures, view=seen, **changes)
+        if self.out is None:
             return
         if changes.get("test_points", {}).get("points"):
-            write_csv(points_table(changes["test_points"]), self.path / "test_points.csv")
+            write_csv(points_table(changes["test_points"]), self.out / "test_points.csv")
         if view and "diagnosis" in view:
             found = view["diagnosis"]
             tables = {"causes": causes_table(found), "changes": changes_table(found), "terms": terms_table(found)}
             for name, table in (tables | {"screen": screen_table(seen.rankings, found)}).items():
-                write_csv(table, self.path / f"{name}.csv")
+                write_csv(table, self.out / f"{name}.csv")
         if view and "trajectories" in view:
             flown = seen.trajectories.paths if seen.trajectories else ()
             by_coefficients = partial(diagnosed, seen) if isinstance(seen, View) else dict
-            self.fail(put_histories(lambda: {**by_coefficients(), **flights(flown)}, self.path))
+            self.fail(put_histories(lambda: {**by_coefficients(), **flights(flown)}, self.out))
 
     def fail(self, failures: Sequence[str]) -> None:
         """Keep what failed unexpectedly; none is nothing."""
         if failures:
             self.keep(failures=failures)
 
-    def attempt(self, what: str, do: Callable[[], None]) -> None:
-        """Do what may fail, which keeps its own results; for bad input `what` is noted, anything else is a failure."""
-        try:
-            _, failed = attempted(what, do, None, self.path, own=bool(self._card.effect_files))
-            self.fail(failed)
-        except InputError as error:
-            self.keep([f"{what}: {error}"])
-
     def put_page(self, drawn: Mapping[str, Path]) -> None:
         """report.html with the figures `drawn`; a note says why if there is none."""
-        o = self.outcome
+        o = self.result
         names = ("test_points", "in_band", "notes", "consistency", "failures", "health")
         about: dict[str, Any] = {name: getattr(o, name) for name in names}
         about["revealed"] = revealed(o.hidden, o.named) if o.hidden else ()
-        told = DiagnosisContext(self._card, self._records, self._source, drawn, **about)
-        self.fail(() if self.path is None else put_page(lambda: diagnosis_page(o.view, told), self.path))
+        told = DiagnosisContext(self.card, self.records, self.source, drawn, **about)
+        self.fail(() if self.out is None else put_page(lambda: diagnosis_page(o.view, told), self.out))
 
 
 # --- What follows a diagnosis while trajectories are flown: test points, sizes in a band, stalls, scores, figures.
@@ -242,30 +218,28 @@ def follow(
 
     Returns the figures drawn, by name.
     """
-    found = kept.outcome.diagnosis
+    found, attempt = kept.result.diagnosis, partial(kept.attempt, bad="{}: {}")
     if test_points:
         what = "Test points that would decide what is open were not chosen"
-        kept.attempt(what, lambda: kept.keep(test_points=proposed_points(found, envelope)))
-        kept.attempt(
-            "Causes were not fitted in a band of frequencies", lambda: kept.keep(in_band=causes_in_band(found))
-        )
-    if kept.path is None:
+        attempt(what, lambda: kept.keep(test_points=proposed_points(found, envelope)))
+        attempt("Causes were not fitted in a band of frequencies", lambda: kept.keep(in_band=causes_in_band(found)))
+    if kept.out is None:
         return {}
-    view = kept.outcome.view
+    view = kept.result.view
     if isinstance(view, View):
         tell("stall", 0.0)
-        kept.attempt("Stall left out", lambda: kept.keep(view={"stalls": with_stalls(view).stalls}))
+        attempt("Stall left out", lambda: kept.keep(view={"stalls": with_stalls(view).stalls}))
         what = "Manoeuvres were not scored one by one"
-        kept.attempt(what, lambda: kept.keep(view={"holdout": with_holdout_scores(view).holdout}))
+        attempt(what, lambda: kept.keep(view={"holdout": with_holdout_scores(view).holdout}))
     return drawings(kept, figures, tell)
 
 
 def drawings(kept: ResultStore, figures: ViewFigures, tell: Progress | None) -> dict[str, Path]:
     """Draw `figures` of what was found so far: paths by name; a note for each that failed."""
-    view = kept.outcome.view
-    if not figures or kept.path is None or not isinstance(view, View):
+    view = kept.result.view
+    if not figures or kept.out is None or not isinstance(view, View):
         return {}
-    written, failed = draw_all(figures, view, kept.path / "figures", tell)
+    written, failed = draw_all(figures, view, kept.out / "figures", tell)
     kept.fail(failed)
     return {path.stem: path for path in written}
 

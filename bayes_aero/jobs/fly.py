@@ -31,12 +31,10 @@ from bayes_aero.inference.frequency import linear_in_band
 from bayes_aero.inference.mle import fit_mle, without_noise_bias
 from bayes_aero.inference.nuts import ENGINES
 from bayes_aero.inference.results import MleResult, Posterior
-from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
-from bayes_aero.jobs.io.result_file import safe_name, writable
-from bayes_aero.jobs.io.time_histories import flights, put_histories
+from bayes_aero.jobs.check import record_checks, repaired, spike_notes, usable_for
+from bayes_aero.jobs.io.results import RESULTS, Flight, flights, fly_results, put_histories
 from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
-from bayes_aero.jobs.provenance import provenance, sha256_of, write_json
-from bayes_aero.jobs.steps.record_checks import record_checks, repaired, spike_notes, usable_for
+from bayes_aero.jobs.store import Growing, provenance, safe_name, sha256_of, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Flights, on_recorded_axes
@@ -58,6 +56,7 @@ from bayes_aero.report.text.phrases import several
 from bayes_aero.residuals.equation_error import lines_in
 
 UNFILTERED = "Process noise was not fitted, because output error did not converge."
+Sampling = Callable[[str], dict[str, Posterior]]  # draws by the name of the sampler
 DISTURBED = {"gusts": gusts, "one_step": one_step_quantiles}
 
 
@@ -116,11 +115,12 @@ def fly(
     failed = (*checks.failures, *failed, *more, *unmoved)
     found = Flight(flown, (), tuple(notes), checks.health, checks.consistency, failed, apart, beside, motion=moves)
     said = findings(found, gusts, hindered, disputed=disputed, disturbed=bool(options.process_noise))
-    found = replace(found, sentences=said)
-    files = None if out is None else FlightFiles(out, card, records, source)
+    kept = FlightStore(card, records, out, source)
+    kept.begin(replace(found, sentences=said))
     if sample is not None:
-        found = with_posterior(found, sample, card, out, files.put if files else lambda _: None)
-    return files.write(found, figures=options.figures, progress=progress) if files else found
+        kept.sample(sample)
+    kept.show(figures=options.figures, progress=progress)
+    return kept.result
 
 
 def findings(
@@ -138,56 +138,64 @@ def findings(
     )
 
 
-class FlightFiles:
-    """What a fit to trajectories writes into `out`: numbers first, then what shows them."""
+class FlightStore(Growing[Flight]):
+    """A fit to trajectories with trajectories.json and its tables."""
 
-    def __init__(self, out: Path, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]) -> None:
-        self.out, self.card, self.records, self.source = out, card, records, source
-
-    def put(self, found: Flight) -> None:
-        """Tables, a file of each sampler and trajectories.json; posteriors of an earlier run go."""
-        out = self.out
+    def write(self, out: Path) -> None:
+        """All numbers but the draws."""
+        found = self.result
         write_csv(parameter_table(found.flown), out / "parameters.csv")
         if found.process_noise is not None and found.process_noise.histories:
             write_csv(gust_table(found.process_noise), out / "gusts.csv")
-        for name in ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"):
-            (out / name).unlink(missing_ok=True)
-        for engine, posterior in found.posteriors.items():
-            posterior.save(out / f"posterior_{engine}.nc")
         if found.posteriors:
             write_csv(posterior_table(found.posteriors), out / "posterior.csv")
-        self._noted(found)
+        write_json(fly_results(found, self.card, self.records, self.source), out / RESULTS)
 
-    def _noted(self, found: Flight, said: Sequence[str] = (), failures: Sequence[str] = ()) -> Flight:
-        """trajectories.json, with what could not be drawn or shown after the numbers."""
-        found = replace(found, notes=(*found.notes, *said), failures=(*found.failures, *failures))
-        write_json(fly_results(found, self.card, self.records, self.source), self.out / RESULTS)
-        return found
+    def begin(self, found: Flight) -> None:
+        """The numbers so far; posteriors of an earlier run go."""
+        self.result = found
+        for name in ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"):
+            if self.out is not None:
+                (self.out / name).unlink(missing_ok=True)
+        self.keep()
 
-    def write(self, found: Flight, *, figures: bool, progress: Progress | None) -> Flight:
-        """Everything; the fit with what could not be made."""
-        self.put(found)
+    def sample(self, sample: Sampling) -> None:
+        """The posterior by each sampler, which takes minutes, and what is said of its chains."""
+        begun, posteriors = self.result, {}
+        for engine in ENGINES:
+            new = self.attempt("The posterior was not sampled", partial(sample, engine), {})
+            posteriors |= new
+            for name, posterior in new.items():
+                if self.out is not None:
+                    posterior.save(self.out / f"posterior_{name}.nc")
+            said = (*begun.sentences, *posterior_sentences(posteriors))
+            self.keep(posteriors=posteriors, sentences=said)
+
+    def show(self, *, figures: bool, progress: Progress | None) -> None:
+        """Histories, figures and page, and what could not be made of them."""
+        found, out = self.result, self.out
+        if out is None:
+            return
         together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
-        failed = put_histories(lambda: flights(together, found.flown.units), self.out)
+        failed = put_histories(lambda: flights(together, found.flown.units), out)
         drawn: list[Path] = []
         if figures:
             every: list[tuple[Any, Any]] = [(fly_figures(found.flown) | FREQUENCY_FIGURES, found.flown)]
             every += [] if found.process_noise is None else [(DISTURBED, found.process_noise)]
             every += [({"pair": pair_of}, found.posteriors)] if found.posteriors else []
             for number, (drawings, shown) in enumerate(every):
-                paths, more = draw_all(drawings, shown, self.out / "figures", None if number else progress)
+                paths, more = draw_all(drawings, shown, out / "figures", None if number else progress)
                 drawn, failed = [*drawn, *paths], (*failed, *more)
         many = figures and len(self.records) > MOST_MANOEUVRES
-        said = [f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else []
-        found = self._noted(found, said, failed) if said or failed else found
+        self.keep([f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else (), failed)
         if progress:
             progress("report", 0.95)
         names = ("sentences", "notes", "consistency", "failures", "health", "process_noise", "posteriors", "motion")
-        told: dict[str, Any] = {name: getattr(found, name) for name in names}
+        told: dict[str, Any] = {name: getattr(self.result, name) for name in names}
         pictures = {path.stem: path for path in drawn}
         context = FlyContext(self.card, self.records, self.source, figures=pictures, **told)
-        failed = put_page(lambda: fly_page(found.flown, context), self.out)
-        return self._noted(found, (), failed) if failed else found
+        if failed := put_page(lambda: fly_page(found.flown, context), out):
+            self.keep((), failed)
 
 
 # --- The fits: coefficients, first values from them, output error, process noise.
@@ -304,9 +312,7 @@ def flown_dynamics(
     return flights, dynamics, notes
 
 
-# --- The fit with process noise beside output error, and its posterior.
-
-Sampling = Callable[[str], dict[str, Posterior]]
+# --- The fit with process noise beside output error.
 
 
 def process_noise(
@@ -325,21 +331,6 @@ def process_noise(
     beside, sample = found
     wanted = options.posterior and beside.converged
     return (beside, partial(sample, options.seed, progress) if wanted else None), failed
-
-
-def with_posterior(
-    found: Flight, sample: Sampling, card: Card, out: Path | None, put: Callable[[Flight], None]
-) -> Flight:
-    """With the posterior, and what is said of its chains; what is known is `put` before each sampler, for minutes."""
-    begun, posteriors, failures = found, {}, found.failures
-    for engine in ENGINES:
-        put(found)
-        by = partial(sample, engine)
-        new, failed = attempted("The posterior was not sampled", by, {}, out, own=bool(card.effect_files))
-        posteriors, failures = posteriors | new, (*failures, *failed)
-        said = (*begun.sentences, *posterior_sentences(posteriors))
-        found = replace(begun, posteriors=posteriors, sentences=said, failures=failures)
-    return found
 
 
 # --- The flight path by itself: errors of sensors, and the records without them.

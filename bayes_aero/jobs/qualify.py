@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,20 +22,11 @@ from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import TOLERANCES, FlightRecord
 from bayes_aero.inference.mle import MAX_SEPARATE_FITS
 from bayes_aero.inference.output_error import fit_output_error
-from bayes_aero.jobs.fitted import (
-    Finished,
-    IdentifiedLinear,
-    card_of,
-    drawn,
-    fitted_records,
-    read_finished,
-    with_process_noise,
-)
-from bayes_aero.jobs.io.documents import ConsistencyPart, JudgedTolerance, QualificationDocument, TestPart
-from bayes_aero.jobs.io.result_file import result_file, writable
+from bayes_aero.jobs.check import record_checks
+from bayes_aero.jobs.finished import FinishedResult, IdentifiedLinear, drawn, read_finished
+from bayes_aero.jobs.io.parts import ConsistencyPart, JudgedTolerance, QualificationDocument, TestPart
 from bayes_aero.jobs.options import QualifyOptions
-from bayes_aero.jobs.provenance import provenance, write_json
-from bayes_aero.jobs.steps.record_checks import record_checks
+from bayes_aero.jobs.store import provenance, writable, write_json
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import FLIGHT
@@ -74,14 +65,8 @@ def qualify_result(
 
     Returns the qualification, and a sentence on each part that could not be made.
     """
-    file = result_file(given)
-    if file is None:
-        raise InputError(f"{given} is a card, and a card has no uncertainty; give the folder of a result")
-    found, folder, told = read_finished(str(file), options.card)
-    assert folder is not None
-    card = card_of(told["provenance"], file, options.card)
-    records = fitted_records(told["provenance"], file, card, remedy="give it with --fitted", files=options.fitted)
-    source = Source(found, folder, told)
+    source = read_finished(given, options.card, ", and a card has no uncertainty; give the folder of a result")
+    card, records = source.card, source.records("give it with --fitted", options.fitted)
     new = new_records(tests, records, card, source, options.gusts)
     if out is not None:
         writable(out)
@@ -103,14 +88,14 @@ def qualify_result(
         tolerances={name: (x, card.tolerances[name].source) for name, x in bands.items()},
         draws=options.draws,
         origins=origins,
-        notes=(*found.sources, *limits_of(card, bands, region)),
+        notes=(*source.identified.sources, *limits_of(card, bands, region)),
         further=deciding_flights(source, card, flown, results.undecided, unknown),
         health=checks.health,
         consistency=checks.consistency,
     )
     if out is None:
         return qualification, checks.failures
-    settings: dict[str, Any] = {"result": file.name, "draws": options.draws, "gusts": options.gusts}
+    settings: dict[str, Any] = {"result": source.file.name, "draws": options.draws, "gusts": options.gusts}
     made = provenance(card, [*records, *new], options.seed, settings, options)
     write_csv(test_table(qualification), out / "qualification.csv")  # numbers first, then the page
     write_json(qualification_results(qualification, card, made, checks.failures), out / RESULTS)
@@ -122,7 +107,7 @@ def qualify_result(
 
 
 def new_records(
-    tests: Sequence[Path], fitted: Sequence[FlightRecord], card: Card, source: Source, gusts: float | None
+    tests: Sequence[Path], fitted: Sequence[FlightRecord], card: Card, source: FinishedResult, gusts: float | None
 ) -> list[FlightRecord]:
     """Records that were not fitted, read as those were; refused where they were, or the model cannot fly them."""
     how = fitted[0].read
@@ -134,41 +119,42 @@ def new_records(
                     f"{record.name} {shared[0]}; {one.name} was fitted, so it is tested anyway: give records that were "
                     "not fitted"
                 )
+    name = source.identified.name
     if source.linear is not None and gusts:
         raise InputError(
-            f"card {source.found.name} states a linear system, which does not fly through moving air; leave --gusts out"
+            f"card {name} states a linear system, which does not fly through moving air; leave --gusts out"
         )
     if source.linear is not None and new and (own := source.linear.rows.by_manoeuvre):
         raise InputError(
-            f"card {source.found.name} states {several(own)} for each manoeuvre, so there is no value for record "
+            f"card {name} states {several(own)} for each manoeuvre, so there is no value for record "
             f"{new[0].name}, which was not fitted; leave it out, or fit a card with one value for all manoeuvres"
         )
     return new
 
 
 def deciding_flights(
-    source: Source, card: Card, flown: SegmentTrajectories, undecided: Sequence[OpenTest], unknown: Uncertain
+    source: FinishedResult, card: Card, flown: SegmentTrajectories, undecided: Sequence[OpenTest], unknown: Uncertain
 ) -> Further | None:
     """Flights that would decide the undecided tests."""
     if not undecided:
         return None
-    if isinstance(source.found, IdentifiedLinear):
+    if isinstance(source.identified, IdentifiedLinear):
         return Further((), why_not="a linear system does not know the forces and moments of other manoeuvres")
     flights, names = flown.flights, list(flown.dynamics.names)
     assert isinstance(flights, Flights)
-    values = {name: float(source.found.values[name]) for name in source.found.model.names}
+    values = {name: float(source.identified.values[name]) for name in source.identified.model.names}
     errors = unknown.draws - unknown.estimate
     try:
-        return further_flights(undecided, names, errors, flights, source.found.model, values, card.envelope)
+        return further_flights(undecided, names, errors, flights, source.identified.model, values, card.envelope)
     except InputError as error:
         return Further((), why_not=str(error))
 
 
 def _segments(
-    source: Source, card: Card, records: Sequence[FlightRecord], outputs: tuple[str, ...] = ()
+    source: FinishedResult, card: Card, records: Sequence[FlightRecord], outputs: tuple[str, ...] = ()
 ) -> tuple[SegmentTrajectories, dict[str, float]]:
     """Whole manoeuvres with the outputs that have a tolerance, and half the widths of their bands, SI."""
-    found = source.found
+    found = source.identified
     if isinstance(found, IdentifiedLinear):
         flights, _ = despiked(join(records, card, found.rows.inputs))
         dynamics: Dynamics = found.dynamics(flights)
@@ -231,7 +217,6 @@ def limits_of(card: Card, bands: Mapping[str, float], region: Region) -> list[st
 
 # --- qualification.json.
 
-SCHEMA = "bayes_aero/qualification/2"
 RESULTS = "qualification.json"
 
 
@@ -245,7 +230,6 @@ def qualification_results(
         tests.append(TestPart.of(one, **chance))
     return QualificationDocument.of(
         found,
-        schema=SCHEMA,
         card=card,
         verdict=found.whole,
         thresholds={"passes_from": PASSES_FROM, "fails_to": FAILS_TO},
@@ -268,31 +252,12 @@ GUSTS = ("vertical_gust", "longitudinal_gust", "lateral_gust")
 NEXT_FLIGHT = "next_flight.nc"
 
 
-@dataclass(frozen=True)
-class Source:
-    """A finished result: the model, its folder, what it says."""
-
-    found: Finished
-    folder: Path
-    told: Mapping[str, Any]
-
-    @property
-    def linear(self) -> IdentifiedLinear | None:
-        """The model, where it is a linear system."""
-        return self.found if isinstance(self.found, IdentifiedLinear) else None
-
-    @property
-    def by_trajectories(self) -> bool:
-        """Whether output error gave the values."""
-        return "fitted_outputs" in self.told and "mle" not in self.told and not with_process_noise(self.told)
-
-
 def uncertain(
-    source: Source, flown: SegmentTrajectories, options: QualifyOptions, progress: Progress | None = None
+    source: FinishedResult, flown: SegmentTrajectories, options: QualifyOptions, progress: Progress | None = None
 ) -> tuple[Uncertain, dict[str, str]]:
     """What is not known of the model, and a sentence on where each part comes from; `flown`: its records."""
     names, told, draws = flown.dynamics.names, source.told, options.draws
-    estimate = np.array([source.found.values[name] for name in names])
+    estimate = np.array([source.identified.values[name] for name in names])
     if "causes" in told:
         fit = fit_output_error(flown, start=estimate, max_iterations=0)
         inflation = trajectory_variance_inflation(fit)
@@ -302,14 +267,15 @@ def uncertain(
             f"coloured residuals (variances times {inflation:.3g})."
         )
     else:  # what the result does not determine stays at its estimate
-        found = drawn(source.found, source.folder, told, names, draws, options.seed)
+        found = drawn(source, names, draws, options.seed)
         values = np.tile(estimate, (draws, 1))
         for column, name in enumerate(found.names):
             values[:, names.index(name)] = found.values[:, column]
         said = f"{found.origin[0].upper()}{found.origin[1:]}."
-    model = Uncertain(estimate, values, fitted=source.by_trajectories)
+    by_trajectories = source.command == "fly" and not source.filtered  # output error gave the values
+    model = Uncertain(estimate, values, fitted=by_trajectories)
     origins = {"parameters": said}
-    if source.by_trajectories:
+    if by_trajectories:
         model, more = between_manoeuvres(source, model, flown, options.seed, progress)
         origins |= more
     else:
@@ -330,7 +296,7 @@ def uncertain(
 
 
 def between_manoeuvres(
-    source: Source, model: Uncertain, flown: SegmentTrajectories, seed: int, progress: Progress | None
+    source: FinishedResult, model: Uncertain, flown: SegmentTrajectories, seed: int, progress: Progress | None
 ) -> tuple[Uncertain, dict[str, str]]:
     """Hold-out errors and the scatter between manoeuvres, where there are at least two."""
     count, linear = len(flown.index), source.linear
@@ -379,7 +345,7 @@ def between_manoeuvres(
 
 
 def drawn_by_identify(
-    source: Source, names: Sequence[str], estimate: Float[np.ndarray, " k"], count: int, seed: int
+    source: FinishedResult, names: Sequence[str], estimate: Float[np.ndarray, " k"], count: int, seed: int
 ) -> Float[np.ndarray, "m k"] | None:
     """The next flight's parameters that identify has drawn, where it was asked to."""
     file = source.folder / NEXT_FLIGHT
@@ -391,11 +357,11 @@ def drawn_by_identify(
     kept = np.random.default_rng([seed, 11]).choice(len(draws), count, replace=len(draws) < count)
     values = np.tile(estimate, (count, 1))
     for column, name in enumerate(known):
-        values[:, list(names).index(name)] = np.clip(draws[kept, column], *source.found.bounds[name])
+        values[:, list(names).index(name)] = np.clip(draws[kept, column], *source.identified.bounds[name])
     return values
 
 
-def gusts_of(source: Source, stated: float | None) -> tuple[dict[str, float], bool, str]:
+def gusts_of(source: FinishedResult, stated: float | None) -> tuple[dict[str, float], bool, str]:
     """Intensities and lengths, whether they were stated, and a sentence on them."""
     if stated == 0.0:
         return {}, True, "Not counted: calm air was stated."
@@ -405,7 +371,7 @@ def gusts_of(source: Source, stated: float | None) -> tuple[dict[str, float], bo
     if source.linear is not None:
         return {}, True, "Not counted: a linear system does not fly through moving air."
     told = source.told
-    if with_process_noise(told):
+    if source.filtered:
         known = {key for name in GUSTS for key in (name, f"{name}_length")}
         met = {name: float(x) for name, (x, _) in told["process_noise"]["gusts"].items() if name in known}
         strong = [f"{name} {met[name]:.2g} m/s" for name in GUSTS if met.get(name, 0.0) > 1e-3]

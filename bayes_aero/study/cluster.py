@@ -32,14 +32,13 @@ from jax.experimental.compilation_cache import compilation_cache
 from bayes_aero import processes
 from bayes_aero.atomic_write import beside, host, sweep
 from bayes_aero.errors import InputError
-from bayes_aero.jobs.provenance import PACKAGES, environment
+from bayes_aero.jobs.store import PACKAGES, environment
 from bayes_aero.processes import VARIABLE as CORES
-from bayes_aero.study.case import fail_unit, run_unit
 from bayes_aero.study.jit_cache import FOLDER, cache_folder, ignore_cache_errors
-from bayes_aero.study.run import StoppedError, UnitRunner
+from bayes_aero.study.run import StoppedError, UnitRunner, fail_unit, run_unit
 
-Report = Callable[[int, int, str], None]
-"""Called with the number of finished units, of all units, and a text on the progress."""
+Report = Callable[[int, int, str, bool], None]
+"""Called with the number of finished units, of all units, a text on the progress, and whether there are no workers."""
 
 MIN_MEMORY = 10**9  # bytes of a worker that has compiled one model
 POLL_SECONDS = 0.02  # between checks of the running units
@@ -141,8 +140,8 @@ def _runner(client: Client, units: Path, report: Report, remedy: str) -> UnitRun
                 unit = running.pop(future)
                 finished += 1
                 yield outcome_of(future, unit, address, remedy)
-            what = f"{len(running)} in work on {workers} workers"
-            report(finished, total, what if workers else f"waiting for workers at {address}")
+            what = f"{len(running)} in work on {workers} workers" if workers else f"waiting for workers at {address}"
+            report(finished, total, what, not workers)
             if not ended:
                 time.sleep(POLL_SECONDS)
 

@@ -22,7 +22,6 @@ from bayes_aero.flight.card_tables import is_file, read_table
 from bayes_aero.flight.readers import READERS
 from bayes_aero.flight.record import segment_of
 from bayes_aero.jobs.catalogue import effect_named, known_effects
-from bayes_aero.jobs.io.result_file import safe_name
 from bayes_aero.jobs.options import (
     MAX_SEED,
     DiagnoseOptions,
@@ -33,6 +32,7 @@ from bayes_aero.jobs.options import (
     ReadingOptions,
     SplitName,
 )
+from bayes_aero.jobs.store import safe_name
 from bayes_aero.model.model import Model
 
 KEYS = (

@@ -21,7 +21,30 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # reference.py and other files that benchmarks share
 
-from table import BLOCKS, page
+FITTED = (("first", "first call, s", ".3g"), ("warm", "warm, s", ".3g"), ("cost", "above the best, nats", ".1e"))
+MEMORY = ("memory", "peak, MiB", ".0f")
+DRAWN = (
+    *FITTED[:2], ("ess", "least ESS", ".0f"), ("rhat", "worst R-hat", ".3f"), ("rate", "ESS a second", ".3g"),
+    ("free", "the same, burn-in free", ".3g"), MEMORY,
+)  # fmt: skip
+SCIPY = ("scipy least_squares, trf", "scipy least_squares, lm")
+BLOCKS = {  # title, contenders, columns: key, heading, format
+    "fits": (
+        "Maximum likelihood of the stall model",
+        ("bayes_aero", "bayes_aero, with both bounds", *SCIPY),
+        (*FITTED, MEMORY),
+    ),
+    "samplers": (
+        "Posterior of the stall model, white noise",
+        ("bayes_aero, emcee", "bayes_aero, NUTS", "emcee"),
+        DRAWN,
+    ),
+    "processes": (
+        "Exact GP of CL over alpha, elevator, q and V",
+        ("bayes_aero", "scikit-learn", "tinygp"),
+        (*FITTED, ("value", "log marginal likelihood", ".3f"), MEMORY),
+    ),
+}
 
 
 def parsed() -> argparse.Namespace:
@@ -29,7 +52,7 @@ def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("records", nargs="*", type=Path)
     parser.add_argument("--blocks", nargs="+", choices=list(BLOCKS), metavar="BLOCK",
-                        help=f"of {', '.join(BLOCKS)}; all of them, with --quick the first three")  # fmt: skip
+                        help=f"of {', '.join(BLOCKS)}; all of them")  # fmt: skip
     parser.add_argument("--sizes", nargs="+", type=int, default=[500, 1000, 2000], help="samples of the GPs")
     parser.add_argument("--steps", type=int, default=3000, help="of the peers' ensembles")
     parser.add_argument("--repeats", type=int, default=7, help="warm runs, at most")
@@ -39,7 +62,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--folder", type=Path, help="keeps the prepared data, which a run of the same ones reads again")
     parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    options.blocks = options.blocks or list(BLOCKS)[: 3 if options.quick else None]
+    options.blocks = options.blocks or list(BLOCKS)
     if options.quick:
         options.sizes, options.steps, options.repeats, options.seconds = [60], 60, 1, 5.0
     missing = [str(path) for path in options.records if not path.is_file()]
@@ -81,21 +104,44 @@ def raced(options: argparse.Namespace, folder: Path) -> dict[tuple[str, int], di
     """The numbers of every contender, by block and size."""
     found: dict[tuple[str, int], dict[str, dict]] = {}
     for block in options.blocks:
-        if block.startswith("jet") and not (folder / "jet.pickle").is_file():
-            child(options, folder, "prepare", "jet", "0")
-        for size in options.sizes if BLOCKS[block].sized else [0]:
+        for size in options.sizes if block == "processes" else [0]:
             rows = found[block, size] = {}
-            for name in BLOCKS[block].contenders:
+            for name in BLOCKS[block][1]:
                 print(f"{block} {size or ''}: {name}", file=sys.stderr, flush=True)
                 rows[name] = child(options, folder, block, name, str(size))
     return found
+
+
+def page(found: dict[tuple[str, int], dict[str, dict]], facts: dict) -> str:
+    """All tables as Markdown."""
+    lines = [
+        f"{facts['manoeuvres']} manoeuvres ({'records given' if facts['of'] else 'simulated'}), {facts['samples']} "
+        f"samples, {facts['cores']} cores, Python {facts['python']}, JAX on {facts['device']}; models and densities of "
+        f"both sides at most {facts['apart']:.0e} apart. Warm: median of the runs after the first, their number in "
+        "brackets (0: the first had to do).",
+        *(["", "**A quick run: it shows that everything works and says nothing of speed.**"] if facts["quick"] else []),
+    ]
+    for (block, size), rows in found.items():
+        title, _, columns = BLOCKS[block]
+        best = min((row["cost"] for row in rows.values() if "cost" in row), default=0.0)
+        headings = ["", *(heading for _, heading, _ in columns)]
+        lines += ["", f"### {title}{f', n = {size}' if size else ''}", "", f"| {' | '.join(headings)} |"]
+        lines.append("|---" * len(headings) + "|")
+        for name, row in rows.items():
+            cells = [row["failed"]] if "failed" in row else [
+                format(row[key] - (best if key == "cost" else 0.0), form) for key, _, form in columns
+            ]  # fmt: skip
+            if "runs" in row:
+                cells[1] += f" ({row['runs']})"
+            lines.append(f"| {' | '.join([name, *cells])} |")
+    return "\n".join(lines)
 
 
 def main() -> None:
     """Prepare the data, run every contender, print the table."""
     options = parsed()
     if options.one:
-        from contender import run_one  # the only way to NumPy in this file
+        from stall import run_one  # the only way to NumPy in this file
 
         print(json.dumps(run_one(*options.one, options)))
         return

@@ -16,8 +16,8 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
+from bayes_aero.jobs.catalogue import write_effects
 from bayes_aero.jobs.diagnose import diagnose_records, proposed_points
-from bayes_aero.jobs.io.effect_file import write_effects
 from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.model.model import own_effects
 from bayes_aero.simulate.demo import simulate_stall
@@ -109,13 +109,6 @@ def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
 
 
 @pytest.mark.verify
-def test_the_same_flights_without_it_get_no_term():
-    found = diagnose(flown({}), read_card("attas"), seed=TERM_SEED)
-    assert found.verdict is Verdict.NO_EFFECT
-    assert found.terms == ()
-
-
-@pytest.mark.verify
 def test_without_accelerometers_a_bump_is_found_in_flight_and_written(tmp_path, monkeypatch):
     """Of few effects, which compile sooner. The bump of Cm over alpha has a width of 0.03 rad."""
     few = ("thrust_moment", "pitch_rate_lift", "mach_drag", "alpha_bias")
@@ -137,26 +130,6 @@ def test_without_accelerometers_a_bump_is_found_in_flight_and_written(tmp_path, 
     path = tmp_path / "found.py"
     assert "effect" in write_effects(told.diagnosis.terms, ["run"], path)
     assert len(own_effects([path])) == len(content["terms"])
-
-
-@pytest.mark.verify
-def test_in_gusts_a_product_is_found_and_weighed(tmp_path, monkeypatch):
-    """Of few effects, which compile sooner; gusts of 1 m/s."""
-    few = ("thrust_moment", "pitch_rate_lift", "mach_drag", "alpha_bias", "vertical_gust", "longitudinal_gust")
-    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in few})
-    (coefficient, name, values), records = unlisted_terms.in_gusts(3001, False, 1.0)
-    options = DiagnoseOptions(process_noise=True, trajectories=False)
-    told = diagnose_records(records, read_card("hfb320"), options, out=tmp_path).diagnosis
-    assert told.failures == ()
-    assert told.verdict is Verdict.UNEXPLAINED
-    (term,) = told.terms
-    assert (term.coefficient, term.term.name) == (coefficient, name)
-    assert abs(term.size[0] - values["unlisted_product"]) < 1.96 * term.size[1]
-    content = validated(tmp_path / "diagnosis.json", "diagnosis")
-    assert [u["coefficient"] for u in content["unexplained"]] == [coefficient]
-    path = tmp_path / "found.py"
-    write_effects(told.terms, ["run1", "run2"], path)
-    assert len(own_effects([path])) == 1
 
 
 @pytest.mark.recovery

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_aero.jobs.provenance import provenance, write_json
-from bayes_aero.study import case as units
+from bayes_aero.jobs.store import provenance, write_json
+from bayes_aero.study import run as units
 
 SECONDS = float(os.environ.get("QUICK_SECONDS", "0.4"))
 

@@ -15,11 +15,8 @@ import stranger_six
 from fuzzing import FACTOR
 from stranger import NOISE, fly, plane
 
-from bayes_aero.diagnosis import candidate_set
-from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord, write_record
-from bayes_aero.inference.output_error import GUSTS
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import plain_marks
 from bayes_aero.simulate.injection import misrecorded
@@ -234,8 +231,9 @@ def stages_of(found):
 
 PAIRS = [(name, noise) for name in CARDS for noise in ("--process-noise", "--no-process-noise")]
 LINEAR = {name for name in CARDS if read_card(name).linear is not None}
-QUICK = {("full_six", "--no-process-noise"), ("hfb320", "--no-process-noise")}  # the others take long
-SOON = [pytest.param(*p, marks=() if p[0] in LINEAR or p in QUICK else pytest.mark.verify) for p in PAIRS]
+QUICK = {("full_six", "--no-process-noise"), ("hfb320", "--no-process-noise"), ("attas_lateral", "--process-noise")}
+QUICK |= {(name, "--no-process-noise") for name in LINEAR}  # the others take long
+SOON = [pytest.param(*p, marks=() if p in QUICK else pytest.mark.verify) for p in PAIRS]
 
 
 @pytest.mark.parametrize(("name", "noise"), SOON)
@@ -256,15 +254,3 @@ def test_every_shipped_card_of_effects_is_diagnosed_to_the_end(name, noise, gust
     found = told(program, tmp_path, *asked, out="diagnosed")[1]
     assert found is not None
     assert ("innovations" in stages_of(found)) == (noise == "--process-noise")
-
-
-@pytest.mark.recovery
-def test_a_card_of_six_axes_is_diagnosed_in_gusts(gusty, program, tmp_path, monkeypatch):
-    """The filter's states are angles of attitude, those of a simulation a quaternion. Few candidates compile sooner."""
-    card, paths = read_by("full_six", gusty, tmp_path)
-    kept = (*card.effects, "sideslip_scale", "elevator_lift", "aileron_yaw", *GUSTS, "lateral_gust")
-    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in kept})
-    asked = ("--process-noise", "--no-test-points", "--no-trajectories", "--no-figures", "--max-effects", 1)
-    said, found = told(program, tmp_path, "diagnose", *paths, "--model", "full_six", *asked, out="diagnosed")
-    assert found is not None, said
-    assert stages_of(found) == {"innovations"}

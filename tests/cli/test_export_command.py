@@ -10,13 +10,10 @@ import pytest
 import xarray as xr
 from calling import answer, refused, succeeded
 
-from bayes_aero.explore.opened import open_result
-from bayes_aero.explore.simulator import DRAWS, Simulator
-from bayes_aero.export.jsbsim import jsbsim_files
+from bayes_aero.explore.opened import DRAWS, Simulator, open_result
+from bayes_aero.export.simulators import jsbsim_files
 from bayes_aero.flight.card import read_card, shipped_cards
-from bayes_aero.jobs.export import FORMS
-from bayes_aero.jobs.fitted import read_identified
-from bayes_aero.jobs.io.diagnosis_json import SCHEMA
+from bayes_aero.jobs.finished import FORMS, read_identified
 from bayes_aero.model.model import Model
 
 
@@ -104,7 +101,7 @@ def test_a_posterior_that_converged_comes_first(here):
 def test_a_diagnosis_gives_the_extended_model(here):
     """The causes that hold-out data confirm, with the card's parameters as they move."""
     content = told(Path("results/results.json"))
-    content["schema"] = SCHEMA
+    content["schema"] = "bayes_aero/diagnosis/5"
     moves = {n: {"before": 0.0, "after": p["estimate"]} for n, p in content.pop("mle")["parameters"].items()}
     causes = [
         {"name": "sideslip_drag", "confirmed": True, "parameters": {"CDb2": {"mean": -1.5}}},
@@ -188,7 +185,7 @@ def test_what_is_no_result_or_in_the_way_is_refused(here, monkeypatch):
     refused(here("export", "results", "--to", "jsbsim"), "it has results.json and trajectories.json: name one of them")
     Path("results/results.json").write_text("{")
     refused(here("export", "results/results.json", "--to", "jsbsim"), "cannot be read")
-    monkeypatch.setattr("bayes_aero.export.fmu.find_spec", lambda _: None)
+    monkeypatch.setattr("bayes_aero.export.simulators.find_spec", lambda _: None)
     Path("results/trajectories.json").rename("results/results.json")
     refused(here("export", "results", "--to", "fmu"), 'pip install "bayes-aero[export]"', gone=["attas_fmu"])
 
@@ -200,7 +197,7 @@ def test_axes_that_were_not_recorded_are_not_exported():
     card = {"name": "six", "sha256": hashlib.sha256(six.read_bytes()).hexdigest()}
     change(Path("results/results.json"), provenance__card=card)
     shutil.copy(six, "results/six.toml")
-    found, _, _ = read_identified("results")
+    found, _ = read_identified("results")
     assert found.model.coefficients == ("CL", "CD", "Cm")
     assert all("Clbe" not in text for text in jsbsim_files(found).values())
 

@@ -18,7 +18,7 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs import fly as job
-from bayes_aero.jobs.io.fly_json import Flight
+from bayes_aero.jobs.io.results import Flight
 
 CARD = """
 title = "Invented aircraft"
@@ -129,6 +129,7 @@ def test_errors_of_sensors_are_found_and_taken_out(program, flight, tmp_path):
     assert "Recorded accelerations and rates drive the simulation" in page_of(tmp_path / "out")
 
 
+@pytest.mark.verify
 def test_an_airspeed_with_a_pitot_offset_is_made_true(program, flight, tmp_path):
     """300 Pa is 3.2 m/s at 90 m/s and 1.05 kg/m^3; three errors of the airspeed share it, and their sum is right."""
     card, record, truth = flight

@@ -18,8 +18,7 @@ import stranger_six
 from calling import answer, called, holds, page_of, recorded, succeeded, validated
 from markupsafe import escape
 
-from bayes_aero.cli import app, terminal
-from bayes_aero.cli.app import main
+from bayes_aero.cli import app, main, terminal
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
 from bayes_aero.diagnosis.trajectories import WINDOW
 from bayes_aero.effects import CATALOGUE
@@ -29,7 +28,7 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.inference.validation import SplitKind
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs import options
-from bayes_aero.jobs.export import FORMS
+from bayes_aero.jobs.finished import FORMS
 from bayes_aero.jobs.io.documents import document_schema
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
@@ -268,6 +267,7 @@ def test_what_is_not_as_the_classes_say_is_refused(flown, place, value):
         jsonschema.validate(results, document_schema("results"))
 
 
+@pytest.mark.verify
 def test_same_seed_same_numbers(flown):
     folder, paths, _ = flown
     with patch.object(job, "put_page", lambda *_: ()):  # of which results.json has nothing

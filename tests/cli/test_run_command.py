@@ -19,10 +19,10 @@ from bayes_aero.cli.fits import fly
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import write_record
 from bayes_aero.jobs import identify as job
-from bayes_aero.jobs.provenance import write_json
-from bayes_aero.study import case as units
+from bayes_aero.jobs.store import write_json
+from bayes_aero.study import run as units
+from bayes_aero.study.run import RESULTS
 from bayes_aero.study.study import KEYS, OPTIONS, read_study
-from bayes_aero.study.summary import RESULTS
 
 STUDY = """
 title = "two records"

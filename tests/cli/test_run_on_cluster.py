@@ -25,7 +25,7 @@ import psutil
 import pytest
 from calling import called, refused, succeeded
 
-from bayes_aero.study import case as units
+from bayes_aero.study import run as units
 
 pytestmark = pytest.mark.cluster
 QUICK = Path(__file__).with_name("quick_units.py")

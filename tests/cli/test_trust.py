@@ -10,8 +10,8 @@ import pytest
 from calling import answer, holds, refused
 
 from bayes_aero.flight.card import read_card, shipped_cards
-from bayes_aero.jobs.provenance import write_json
-from bayes_aero.study import case as units
+from bayes_aero.jobs.store import write_json
+from bayes_aero.study import run as units
 
 EFFECT = (Path(__file__).parents[1] / "model" / "test_cards.py").read_text(encoding="utf-8").split("'''")[1]
 

@@ -25,10 +25,10 @@ from bayes_aero.dynamics.innovations import filter_segments
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.output_error import disturbed
-from bayes_aero.jobs.io.diagnosis_json import term_part
+from bayes_aero.jobs.catalogue import effect_file, write_effects
 from bayes_aero.jobs.io.documents import document_schema
-from bayes_aero.jobs.io.effect_file import effect_file, write_effects
-from bayes_aero.jobs.provenance import plain
+from bayes_aero.jobs.io.results import term_part
+from bayes_aero.jobs.store import plain
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import FLIGHT, Aircraft

@@ -14,10 +14,8 @@ from calling import called, recorded
 
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments, simulate
-from bayes_aero.explore.opened import open_result
-from bayes_aero.explore.page import page_of
-from bayes_aero.explore.server import PageServer
-from bayes_aero.explore.simulator import Simulator
+from bayes_aero.explore.opened import Simulator, open_result
+from bayes_aero.explore.page import PageServer, page_of
 from bayes_aero.flight.reading import read_record
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.physics.aircraft import FLIGHT

@@ -18,6 +18,7 @@ from bayes_aero.diagnosis.flights import fly_given
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import (
     Choice,
+    Simulator,
     addable,
     chosen_model,
     export_chosen,
@@ -26,13 +27,11 @@ from bayes_aero.explore.opened import (
     open_result,
     shown_effects,
 )
-from bayes_aero.explore.page import Asked, gain, read_asked, scores
-from bayes_aero.explore.server import PageServer
-from bayes_aero.explore.simulator import Simulator
-from bayes_aero.export.identified import python_source
+from bayes_aero.explore.page import Asked, PageServer, gain, read_asked, scores
+from bayes_aero.export.simulators import slave_source
 from bayes_aero.flight.reading import read_record
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.jobs.export import FORMS
+from bayes_aero.jobs.finished import FORMS
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.physics.aircraft import FLIGHT
@@ -165,14 +164,14 @@ def test_the_exported_function_has_the_coefficients_of_the_page(own, name):
     choice = CHOICES[name]
     values = own.fly(0, choice).values
     chosen, exported = chosen_model(own.opened, choice, values), {}
-    exec(compile(python_source(chosen), "exported.py", "exec"), exported)
+    exec(compile(slave_source(chosen, "exported"), "exported.py", "exec"), exported)
     flown, flights = flown_model(own.opened.identified.model, choice), own.flights
     arrays = {name: np.asarray(x) for name, x in values.items()}
     channels = flights.with_slopes(flown.corrected(arrays, flights.channels, flights.aircraft))
     for k in (100, 300, 500):
         signals = {name: np.asarray(x)[k] for name, x in channels.items()}
         expected = flown.flow(arrays, signals, flights.aircraft)
-        told = exported["aerodynamics"](**{name: float(signals[name]) for name in chosen.signals})
+        told = exported["aerodynamics"]({name: float(signals[name]) for name in chosen.signals}, {})
         for c in ("CL", "CD", "Cm"):
             assert told[c] == pytest.approx(float(expected[c]), rel=1e-9, abs=1e-12), (c, k)
 

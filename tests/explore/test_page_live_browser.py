@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from browsing import needed
 
-from bayes_aero.jobs.export import FORMS
+from bayes_aero.jobs.finished import FORMS
 from bayes_aero.model.model import Model
 
 pytestmark = needed

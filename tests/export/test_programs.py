@@ -15,10 +15,9 @@ from exported_models import everything, modelled, random_signals, six, stall
 from bayes_aero.effect import Disturbance
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.export.fmu import slave_source
-from bayes_aero.export.identified import Draws, Identified, about, python_source
-from bayes_aero.export.jsbsim import jsbsim_files
+from bayes_aero.export.identified import Draws, Identified, about
 from bayes_aero.export.program import translated
+from bayes_aero.export.simulators import jsbsim_files, slave_source
 from bayes_aero.export.tables import ACCURACY, write_tables
 from bayes_aero.flight.card import read_card
 from bayes_aero.model.model import Model
@@ -77,13 +76,13 @@ def test_an_effect_that_cannot_be_exported_is_named(increments, words):
 def loaded(found):
     """The file's names, from its text alone."""
     names: dict = {}
-    exec(compile(python_source(found), "exported.py", "exec"), names)
+    exec(compile(slave_source(found, "exported"), "exported.py", "exec"), names)
     return names
 
 
 def called(names, found, signals, points, k, **more):
     given = {n: float(signals[n][k]) for n in found.program.inputs_of("signal")}
-    return names["aerodynamics"](**given, **{n: float(x[k]) for n, x in points.items()}, **more)
+    return names["aerodynamics"](given, {n: float(x[k]) for n, x in points.items()}, **more)
 
 
 @pytest.mark.parametrize("make", [stall, lambda: stall(5.0), six, everything, lambda: everything(0.0)])
@@ -119,19 +118,17 @@ def test_a_channel_that_is_no_name_is_refused():
     )
     found = stall()
     found = replace(found, model=found.model.extended(own), values=found.values | {"CDde": 0.1})
-    for source, words in ((python_source, "an argument in Python"), (jsbsim_files, "a property of JSBSim")):
-        with pytest.raises(InputError, match=f"2nd surface cannot be {words}"):
-            source(found)
+    with pytest.raises(InputError, match="2nd surface cannot be a variable of an FMU"):
+        slave_source(found, "mine")
+    with pytest.raises(InputError, match="2nd surface cannot be a property of JSBSim"):
+        jsbsim_files(found)
 
 
-def test_the_file_needs_nothing_but_math_and_words_of_a_card_are_no_code():
-    tree = ast.parse(python_source(six()))
-    imported = [n for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom)]
-    assert [alias.name for node in imported for alias in node.names] == ["math"]
-    # A title and a source that would end a string.
+def test_words_of_a_card_are_no_code():
+    """A title and a source that would end a string."""
     title = 'x"""\nraise SystemExit("run")\n"""\\'
     found = replace(stall(), title=title, sources=(title,))
-    tree = ast.parse(slave_source(found, "stall", "stall_function"))
+    tree = ast.parse(slave_source(found, "stall"))
     assert "raise SystemExit" in ast.unparse(tree)
     assert not [node for node in ast.walk(tree) if isinstance(node, ast.Raise)]
 

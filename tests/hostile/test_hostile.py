@@ -32,9 +32,9 @@ from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import text
 from bayes_aero.flight.reading import read_raw, read_record
 from bayes_aero.flight.record import write_record
-from bayes_aero.jobs import provenance
+from bayes_aero.jobs import store
 from bayes_aero.model.model import Model, own_effects
-from bayes_aero.study import case as unit
+from bayes_aero.study import run as unit
 from bayes_aero.study.study import read_study
 
 ODD = (
@@ -349,7 +349,7 @@ def test_damaged_json_in_a_results_folder(tmp_path, content):
     folder = tmp_path / "environment"
     folder.mkdir()
     (folder / "environment.json").write_text(content)
-    assert provenance.write_environment(tmp_path).name.startswith("environment-")
+    assert store.write_environment(tmp_path).name.startswith("environment-")
     (tmp_path / unit.MANIFEST).write_text(content)
     one = unit.Unit("u", "identify", (), (), "attas", "attas", 0, None, None, ())
     assert unit.state_of(one, tmp_path).word == "damaged"

@@ -13,8 +13,8 @@ from report_samples import CARD, N, flight, records, study_told, with_offsets
 from bayes_aero.diagnosis.result import FlownMode, Motion, TheilParts
 from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.jobs import fly as job
-from bayes_aero.jobs.io.fly_json import RESULTS
-from bayes_aero.jobs.provenance import provenance
+from bayes_aero.jobs.io.results import RESULTS
+from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures.time_histories import stem_of
 from bayes_aero.report.html.page import Fold, HtmlTable, Picture, Plot, at_a_glance, page_table, put_page, render
 from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked

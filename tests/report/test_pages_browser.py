@@ -22,7 +22,7 @@ from report_samples import CARD, flight, records, study_told
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.jobs.catalogue import effect_facts, known_effects, write_effects_page
-from bayes_aero.jobs.provenance import provenance
+from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures import posterior, prior
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.html.page import section, write_page

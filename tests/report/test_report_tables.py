@@ -19,8 +19,8 @@ from bayes_aero.diagnosis.result import Compared, GustHistory, HoldoutScores, Pr
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.results import Marginal, MleStatus, NextFlight, PosteriorStatus
 from bayes_aero.inference.scores import Scores
-from bayes_aero.jobs.io.identification_json import results
-from bayes_aero.jobs.provenance import as_json
+from bayes_aero.jobs.io.results import results
+from bayes_aero.jobs.store import as_json
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.figures.posterior import next_flight

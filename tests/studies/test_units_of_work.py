@@ -20,9 +20,9 @@ from bayes_aero.processes import cores
 from bayes_aero.report.html.page import put_page
 from bayes_aero.study import cluster
 from bayes_aero.study import jit_cache as compiled
-from bayes_aero.study.case import MANIFEST, fail_unit, run_unit
 from bayes_aero.study.cluster import Driver, work
 from bayes_aero.study.jit_cache import cache_folder
+from bayes_aero.study.run import MANIFEST, fail_unit, run_unit
 
 LONG = 20.0  # s: a test that waits so long has failed
 
@@ -294,7 +294,7 @@ def test_histories_on_a_full_disk_are_an_error_and_no_crash(tmp_path):
     """In a process of its own, in which no file may exceed 100 kB; it must end as any other does."""
     code = (
         "import sys, resource; from pathlib import Path; import numpy as np, xarray as xr\n"
-        "from bayes_aero.jobs.io.time_histories import put_histories\n"
+        "from bayes_aero.jobs.io.results import put_histories\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
         "group = xr.Dataset({'x': ('sample', np.random.default_rng(0).normal(size=100_000))})\n"
         "try: put_histories(lambda: {'one': group}, Path(sys.argv[1]))\n"
@@ -331,7 +331,8 @@ def test_libraries_are_never_given_the_name_of_a_result_to_write_to():
     lone = re.compile(r"to_netcdf\((?!engine)|\.to_csv\((?!index|lineterm|\))|savefig\((?!drawn)|write_bytes\(")
     source = {str(p.relative_to(package)): p.read_text(encoding="utf-8") for p in package.rglob("*.py")}
     assert {name for name, text in source.items() if lone.search(text)} == {"atomic_write.py"}
-    assert {name for name, text in source.items() if "write_text(" in text} == {"export/fmu.py", "study/cluster.py"}
+    own = {name for name, text in source.items() if "write_text(" in text}
+    assert own == {"export/simulators.py", "study/cluster.py"}
 
 
 def test_a_full_disk_is_told_by_a_page_and_by_h5py_in_words_alone(tmp_path):

@@ -1,4 +1,4 @@
-"""Where numbers come from: versions, inputs' hashes, seed, command, platform."""
+"""Where results lie and numbers come from: the folder, JSON, and versions, inputs' hashes, seed, command, platform."""
 
 from __future__ import annotations
 
@@ -8,19 +8,23 @@ import os
 import platform
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from threading import RLock
+from typing import Any, Generic, TypeVar
 
 import msgspec
 
 import bayes_aero
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.flight.card import Card
+from bayes_aero.errors import ERROR, InputError, attempted
+from bayes_aero.flight.card import Card, shipped_cards
+from bayes_aero.flight.card_tables import is_file
 from bayes_aero.flight.record import FlightRecord
 
 PACKAGES = (
@@ -100,6 +104,52 @@ def picked(found: Any, *names: str) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in rows.items()}
 
 
+# --- A result that grows, and its files with it.
+
+Result = TypeVar("Result")
+
+
+class Growing(Generic[Result]):
+    """A result with `notes` and `failures`, written whenever there is more of it, whichever thread found it.
+
+    Without a folder `out` nothing is written; `source` is its provenance.
+    """
+
+    result: Result
+
+    def __init__(self, card: Card, records: Sequence[FlightRecord], out: Path | None, source: dict[str, Any]) -> None:
+        self.card, self.records, self.out, self.source, self.lock = card, records, out, source, RLock()
+
+    def write(self, out: Path) -> None:
+        """Its numbers, into the folder."""
+        raise NotImplementedError
+
+    def keep(self, notes: Sequence[str] = (), failures: Sequence[str] = (), **changes: Any) -> None:
+        """Put more into the result, and on disk."""
+        with self.lock:
+            before: Any = self.result
+            more = {"notes": (*before.notes, *notes), "failures": (*before.failures, *failures)}
+            self.result = replace(before, **changes, **more)
+            if self.out is not None:
+                self.write(self.out)
+
+    def attempt(self, what: str, do: Callable[[], Any], otherwise: Any = None, *, bad: str = "") -> Any:
+        """What `do` returns or, if it fails unexpectedly, `otherwise`, and the reason is kept.
+
+        So it is for bad input where there is a form `bad` of the note on it.
+        """
+        try:
+            value, failed = attempted(what, do, otherwise, self.out, own=bool(self.card.effect_files))
+        except InputError as error:
+            if not bad:
+                raise
+            self.keep([bad.format(what, error)])
+            return otherwise
+        if failed:
+            self.keep((), failed)
+        return value
+
+
 # --- The exact environment of a run, so that it can be restored: every installed version, Python, platform.
 
 OWN = "bayes-aero"
@@ -154,3 +204,72 @@ def write_environment(out: Path) -> Path:
         write_whole("\n".join(lines) + "\n", folder / "requirements.txt")
         write_json(here | {"id": own}, folder / "environment.json")
     return folder
+
+
+# --- The folder of results, in which nothing leads elsewhere, and the file of a finished one; no numerical library.
+
+RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(10))}
+"""Names that Windows keeps for devices, whatever follows their first full stop."""
+
+
+def writable(folder: Path) -> None:
+    """Make the folder for results, or say why it cannot be; a link in it that leads out of it is refused.
+
+    What is written would land there. The folder may be a link itself, for the user has named it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        root = folder.resolve()
+        for path in sorted(folder.iterdir()):
+            if path.is_symlink() and not path.resolve().is_relative_to(root):
+                raise InputError(f"{path} is a link that leads out of {folder}; remove it, or give another --out")
+        (folder / ERROR).unlink(missing_ok=True)  # of an earlier run
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot write to {folder} ({reason}); give another folder with --out") from None
+
+
+def safe_name(words: str) -> str:
+    """`words` as the beginning of a file's name on every system: no leading full stop or dash, no device of Windows."""
+    words = words.lstrip(".-")
+    return f"_{words}" if words.split(".")[0].split("-")[0].lower() in RESERVED else words
+
+
+FILES = {"results.json": "identify", "trajectories.json": "fly", "diagnosis.json": "diagnose"}
+MOST_BYTES = 1 << 28
+
+
+def result_file(given: str) -> Path | None:
+    """The file of a result by its folder or its own path; None for a card."""
+    path = Path(given)
+    if given in shipped_cards() or path.suffix == ".toml":
+        return None
+    if is_file(path) and path.name.endswith(".json"):
+        return path
+    if not path.is_dir():
+        raise InputError(
+            f"there is no result {str(path)!r}: give a folder that identify, fly or diagnose wrote, one of its files "
+            f"({', '.join(FILES)}), or a card"
+        )
+    there = [path / name for name in FILES if is_file(path / name)]
+    if len(there) != 1:
+        names = " and ".join(p.name for p in there)
+        which = f"it has {names}: name one of them" if there else f"it has none of {', '.join(FILES)}"
+        raise InputError(f"folder {path} is not the result of one run of identify, fly or diagnose; {which}")
+    return there[0]
+
+
+def read_result(file: Path) -> Mapping[str, Any]:
+    """What a result of identify, fly or diagnose says."""
+    try:
+        if file.stat().st_size > MOST_BYTES:
+            raise ValueError(f"it has more than {MOST_BYTES} bytes")
+        told = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as reason:
+        raise InputError(f"{file} cannot be read ({reason}); give the result of a finished run") from None
+    kind = str(told.get("schema", "")).split("/")[:2] if isinstance(told, dict) else []
+    if kind not in (["bayes_aero", name] for name in ("results", "trajectories", "diagnosis")):
+        raise InputError(f"{file} is no result of identify, fly or diagnose; give the folder of one")
+    return told

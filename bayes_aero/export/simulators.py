@@ -1,20 +1,23 @@
-"""The model as an aircraft of JSBSim: aerodynamics, the system with its states, and a body that flies with them.
-
-JSBSim counts in feet, pounds and slugs; what is converted is converted here. Structural axes: x aft, y right, z up.
-"""
+"""The model for other simulators: an aircraft of JSBSim, and an FMU 2.0 for co-simulation."""
 
 from __future__ import annotations
 
 import math
 import re
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
-from bayes_aero.errors import InputError
-from bayes_aero.export.identified import Identified, about, unit
+from bayes_aero.atomic_write import write_whole
+from bayes_aero.errors import DefectError, InputError
+from bayes_aero.export.identified import Identified, about, meaning, unit
 from bayes_aero.export.program import Operand, Program
 from bayes_aero.physics.aircraft import GRAVITY, LATERAL, NAMES, Axis
 
@@ -328,3 +331,153 @@ def jsbsim_files(found: Identified) -> Mapping[str, str]:
         f"{folder}/{found.name}-aerodynamics.xml": aerodynamics_xml(found),
         f"{folder}/Systems/{found.name}-states.xml": system_xml(found),
     }
+
+
+# --- The model as an FMU 2.0 for co-simulation: its steps in the wrapper of pythonfmu.
+
+MOST_SECONDS = 300
+SLAVE = '''"""Co-simulation of an identified aerodynamic model."""
+
+import math
+import operator
+from xml.etree.ElementTree import SubElement
+
+from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
+
+INPUTS = {inputs!r}
+POINTS = {points!r}
+OUTPUTS = {outputs!r}
+PARAMETERS = {parameters!r}
+CONSTANTS = {constants!r}
+STEPS = {steps!r}
+RESULTS = {results!r}
+
+SAME = ("add", "sub", "mul", "neg", "lt", "le", "gt", "ge", "eq", "ne")
+OPERATIONS = {{name: getattr(operator, name) for name in SAME}}
+OPERATIONS |= {{
+    name: getattr(math, name)
+    for name in (
+        "sqrt", "cbrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
+        "cosh", "tanh", "floor", "ceil", "pow",
+    )
+}}
+OPERATIONS |= {{
+    "div": operator.truediv, "min": min, "max": max, "abs": abs, "not": operator.not_,
+    "and": lambda x, y: x and y, "or": lambda x, y: x or y, "select": lambda where, x, y: x if where else y,
+    "sign": lambda x: float(x > 0.0) - float(x < 0.0),
+    "logistic": lambda x: 1.0 / (1.0 + math.exp(-x)) if x >= 0.0 else math.exp(x) / (1.0 + math.exp(x)),
+}}
+
+
+def aerodynamics(signals, states, parameters=PARAMETERS):
+    """Coefficients and separation points."""
+    values = dict(CONSTANTS)
+    for kind, given in (("signal", signals), ("state", states), ("parameter", parameters)):
+        values.update((f"{{kind}}.{{name}}", x) for name, x in given.items())
+    for name, operation, arguments in STEPS:
+        try:
+            values[name] = OPERATIONS[operation](*(values[x] if isinstance(x, str) else x for x in arguments))
+        except (ArithmeticError, ValueError):  # of a branch that `select` may not take
+            values[name] = math.nan
+    return {{name: values[x] if isinstance(x, str) else x for name, x in RESULTS.items()}}
+
+
+class {name}(Fmi2Slave):
+    author = "bayes_aero"
+    description = {description!r}
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.inputs = dict.fromkeys(INPUTS, 0.0) | {start!r}
+        self.parameters = dict(PARAMETERS)
+        self.states = dict.fromkeys(POINTS, 1.0)
+        self.outputs = dict.fromkeys(OUTPUTS, 0.0)
+        for name, text in INPUTS.items():
+            self._add(name, self.inputs, name, text, causality=Fmi2Causality.input)
+        for name in self.parameters:
+            kind = {{"causality": Fmi2Causality.parameter, "variability": Fmi2Variability.tunable}}
+            self._add(f"parameter.{{name}}", self.parameters, name, "", **kind)
+        for name, text in OUTPUTS.items():
+            self._add(name, self.outputs, name, text, causality=Fmi2Causality.output)
+        for name in POINTS:
+            self._add(name, self.states, name, "separation point", causality=Fmi2Causality.output)
+
+    def _add(self, name, values, key, text, **kind):
+        def put(x):
+            values[key] = x
+
+        variable = Real(name, getter=lambda: values[key], setter=put, description=text, **kind)
+        self.register_variable(variable, nested=False)
+
+    def to_xml(self, *given):
+        root = super().to_xml(*given)
+        node = SubElement(root.find("ModelStructure"), "InitialUnknowns")
+        for number, variable in enumerate(self.vars.values(), 1):
+            if variable.causality is Fmi2Causality.output:
+                SubElement(node, "Unknown", index=str(number))
+        return root
+
+    def _evaluate(self):
+        found = aerodynamics(self.inputs, self.states, self.parameters)
+        self.outputs.update((name, found[name]) for name in OUTPUTS)
+        return found
+
+    def exit_initialization_mode(self):
+        found = self._evaluate()
+        for name in POINTS:
+            self.states[name] = found[name + "_static"]
+        self._evaluate()
+
+    def do_step(self, current_time, step_size):
+        found = self._evaluate()
+        for name in POINTS:
+            static = found[name + "_static"]
+            self.states[name] = static + (self.states[name] - static) * math.exp(-step_size / found["lag"])
+        self._evaluate()
+        return True
+'''
+START = {"airspeed": 100.0, "density": 1.225}  # inputs that no flow has at zero
+
+
+def write_fmu(found: Identified, folder: Path) -> Path:
+    """Build the FMU in `folder`. Inputs are the channels that the model reads, outputs its coefficients and separation
+    points, parameters its own. A step holds the inputs and solves the lag of the separation point exactly."""
+    if find_spec("pythonfmu") is None:
+        raise InputError('an FMU needs the package pythonfmu; install it with: pip install "bayes-aero[export]"')
+    name = re.sub(r"\W", "_", f"{found.name}_aerodynamics")
+    name = name if name.isidentifier() else f"_{name}"
+    with tempfile.TemporaryDirectory() as there:
+        slave = Path(there) / f"{name}_slave.py"
+        slave.write_text(slave_source(found, name), encoding="utf-8")
+        words = [sys.executable, "-m", "pythonfmu", "build", "-f", str(slave), "-d", there]
+        # a process of its own: pythonfmu imports the slave by its name, and keeps that module
+        done = subprocess.run(words, capture_output=True, text=True, timeout=MOST_SECONDS, check=False)
+        made = Path(there) / f"{name}.fmu"
+        if done.returncode or not made.is_file():
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            raise DefectError(f"pythonfmu did not build the FMU ({last})", "export --to jsbsim")
+        return write_whole(made.read_bytes(), folder / made.name)
+
+
+def slave_source(found: Identified, name: str) -> str:
+    """The text of the FMU's Python class, which carries out the steps of the program."""
+    program, read = found.program, found.program.inputs_of("parameter")
+    signals, points = program.inputs_of("signal"), program.inputs_of("state")
+    for channel in signals:
+        if not channel.isidentifier():
+            raise InputError(f"channel {channel} cannot be a variable of an FMU; give it another name on the card")
+    outputs = {n: "separation point" for n in program.outputs if n != "lag"}
+    outputs |= {n: f"{text} without lag" for n, text in outputs.items() if n.endswith("_static")}
+    outputs |= dict.fromkeys(found.exported.coefficients, "coefficient")
+    return SLAVE.format(
+        name=name,
+        inputs={n: f"{meaning(n)}, {unit(n) or 'SI'}" for n in signals},
+        points=points,
+        outputs=outputs,
+        parameters={p.name: found.values[p.name] for p in found.exported.parameters if p.name in read},
+        constants={f"aircraft.{n}": found.inputs[f"aircraft.{n}"] for n in program.inputs_of("aircraft")},
+        steps=[(step.name, step.operation, step.arguments) for step in program.steps],
+        results=dict(program.outputs),
+        start={n: x for n, x in START.items() if n in signals},
+        description=" ".join(about(found)),
+    )

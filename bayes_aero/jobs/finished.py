@@ -1,9 +1,13 @@
-"""A finished result, found again: its records, its card, its model and its draws."""
+"""A finished result, found again: its records, its card, its model and its draws; its export to another simulator."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import csv
+import io
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,17 +16,19 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from bayes_aero.atomic_write import beside, put_folder, write_whole
 from bayes_aero.dynamics.linear import LinearDynamics, linear_dynamics
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
-from bayes_aero.export.identified import Draws, Identified
+from bayes_aero.export.identified import Draws, Identified, about, validity, version, wrapped
+from bayes_aero.export.simulators import PROPERTIES, jsbsim_files, write_fmu
+from bayes_aero.export.tables import write_tables
 from bayes_aero.flight.card import Card, read_card, shipped_cards
 from bayes_aero.flight.card_tables import LinearCard
 from bayes_aero.flight.reading import read_again
 from bayes_aero.flight.record import FlightRecord, segment_of
-from bayes_aero.jobs.io.result_file import read_result, result_file
 from bayes_aero.jobs.options import MOST_DRAWS
-from bayes_aero.jobs.provenance import sha256_of
+from bayes_aero.jobs.store import picked, read_result, result_file, safe_name, sha256_of, write_json
 from bayes_aero.model.model import Model, effect_named, own_effects
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import COEFFICIENTS
@@ -92,34 +98,87 @@ def unchanged_record(one: Mapping[str, Any], card: Card, there: Sequence[Path]) 
 USABLE = ("converged", "at_bound")
 
 
-def read_identified(given: str, card: str | None = None) -> tuple[Identified, Path | None, Mapping[str, Any]]:
-    """The model of effects of a folder of results, of a result file, or of a card; see `read_finished`."""
-    found, folder, told = read_finished(given, card)
-    if isinstance(found, IdentifiedLinear):
-        raise InputError(
-            f"card {found.name} states a linear system, which has no coefficients to export; use a result of a card "
-            "with [model]"
-        )
-    return found, folder, told
+@dataclass(frozen=True)
+class FinishedResult:
+    """A result of identify, fly or diagnose: its file and what that says, its card, and the model with its values."""
+
+    file: Path
+    told: Mapping[str, Any]
+    card: Card
+    identified: Finished
+
+    @property
+    def folder(self) -> Path:
+        """Where its files are."""
+        return self.file.parent
+
+    @property
+    def command(self) -> str:
+        """That made it: identify, fly or diagnose."""
+        return COMMANDS[self.told["schema"].split("/")[1]]
+
+    @property
+    def linear(self) -> IdentifiedLinear | None:
+        """The model, where it is a linear system."""
+        return self.identified if isinstance(self.identified, IdentifiedLinear) else None
+
+    @property
+    def filtered(self) -> bool:
+        """Whether a fit with process noise describes the record better than output error does."""
+        return with_process_noise(self.told)
+
+    def records(self, remedy: str, files: Sequence[Path] = (), folders: Sequence[Path] = ()) -> list[FlightRecord]:
+        """Its records; see `fitted_records`."""
+        with as_written(self.file):
+            return fitted_records(
+                self.told["provenance"], self.file, self.card, remedy=remedy, files=files, folders=folders
+            )
 
 
-def read_finished(given: str, card: str | None = None) -> tuple[Finished, Path | None, Mapping[str, Any]]:
-    """The model of a folder of results, of a result file, or of a card; that of a result may be a linear system.
+COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose"}
 
-    `card`: that of the result, where it is not found by itself. Returns the model with its values, the folder of the
-    result (None: a card) and the result itself; `InputError` where the fit did not converge or has no value of all.
-    """
-    file = result_file(given)
-    if file is None:
-        return model_of_card(read_card(given)), None, {}
-    told = read_result(file)
+
+@contextmanager
+def as_written(file: Path) -> Iterator[None]:
+    """What a result lacks is reported by its file."""
     try:
-        found = model_of_result(told, file, card_of(told["provenance"], file, card))
+        yield
     except (KeyError, TypeError, AttributeError, ValueError) as reason:
         if isinstance(reason, InputError):
             raise
         raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
-    return found, file.parent, told
+
+
+def read_finished(
+    given: str,
+    card: str | None = None,
+    no_card: str = "; give the folder of a result of identify, fly or diagnose",
+) -> FinishedResult:
+    """The result in a folder or file; its model may be a linear system. A card is refused with `no_card`.
+
+    `card`: that of the result, where it is not found by itself. `InputError` where the fit did not converge or has no
+    value of all.
+    """
+    file = result_file(given)
+    if file is None:
+        raise InputError(f"{given} is a card{no_card}")
+    told = read_result(file)
+    with as_written(file):
+        made_with = card_of(told["provenance"], file, card)
+        return FinishedResult(file, told, made_with, model_of_result(told, file, made_with))
+
+
+def read_identified(given: str, card: str | None = None) -> tuple[Identified, FinishedResult | None]:
+    """The model of effects of a folder of results, of a result file, or (without a result) of a card."""
+    if result_file(given) is None:
+        return model_of_card(read_card(given)), None
+    result = read_finished(given, card)
+    if isinstance(result.identified, IdentifiedLinear):
+        raise InputError(
+            f"card {result.identified.name} states a linear system, which has no coefficients to export; use a result "
+            "of a card with [model]"
+        )
+    return result.identified, result
 
 
 def model_of_card(card: Card) -> Identified:
@@ -235,9 +294,15 @@ def exported(found: Identified) -> tuple[str, ...]:
     return tuple(p.name for p in found.exported.free if p.name in found.program.inputs_of("parameter"))
 
 
-def drawn(
-    found: Finished, folder: Path | None, told: Mapping[str, Any], wanted: Sequence[str], count: int, seed: int
-) -> Draws:
+def no_draws(name: str) -> InputError:
+    """What is reported where there is nothing to draw from."""
+    return InputError(
+        f"{name}: there is neither a posterior that converged nor a covariance to draw from; run the command of the "
+        "result again with this version, or do without draws"
+    )
+
+
+def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) -> Draws:
     """`count` draws of the parameters `wanted` that were fitted.
 
     A posterior that converged comes first; else estimates and covariance, corrected for coloured residuals, give a
@@ -245,11 +310,11 @@ def drawn(
     """
     if not 1 <= count <= MOST_DRAWS:
         raise InputError(f"--draws is {count}; give a number from 1 to {MOST_DRAWS}")
-    rng = np.random.default_rng(seed)
+    rng, told, found = np.random.default_rng(seed), result.told, result.identified
     for sampler in SAMPLERS:
         status = told.get("posterior", {}).get("status", {}).get(sampler)
-        file = None if folder is None else folder / f"posterior_{sampler}.nc"
-        if status is None or status["status"] != "converged" or file is None or not file.is_file():
+        file = result.folder / f"posterior_{sampler}.nc"
+        if status is None or status["status"] != "converged" or not file.is_file():
             continue
         with xr.open_datatree(file, engine="h5netcdf") as tree:
             posterior = tree["posterior"].to_dataset()
@@ -259,18 +324,14 @@ def drawn(
             raise InputError(f"{file} has {len(values)} draws; give --draws {len(values)} or less")
         origin = f"posterior by {sampler} under {status['noise']} noise"
         return Draws(names, values[rng.choice(len(values), count, replace=False)], origin)
-    filtered = with_process_noise(told)
     if "causes" in told:  # a diagnosis
         stored = told.get("covariance") or {}
         rows, matrix = stored.get("parameters", ()), stored.get("matrix")
     else:
-        part = told["process_noise"] if filtered else told.get("mle", told)
-        rows, matrix = part["estimates" if filtered else "parameters"], part.get("covariance")
+        part = told["process_noise"] if result.filtered else told.get("mle", told)
+        rows, matrix = part["estimates" if result.filtered else "parameters"], part.get("covariance")
     if matrix is None:
-        raise InputError(
-            f"{found.name}: there is neither a posterior that converged nor a covariance to draw from; run the command "
-            "of the result again with this version, or do without draws"
-        )
+        raise no_draws(found.name)
     # About the estimates, within the bounds; what the covariance does not know is left out.
     covariance = np.array(matrix, dtype=float)
     known = [name in wanted and bool(np.all(np.isfinite(covariance[i]))) for i, name in enumerate(rows)]
@@ -289,7 +350,7 @@ def drawn(
         )
     held = [name for name in wanted if name not in names]
     origin = "normal distribution of the estimates, " + (
-        "covariance of the fit with process noise" if filtered else "covariance corrected for coloured residuals"
+        "covariance of the fit with process noise" if result.filtered else "covariance corrected for coloured residuals"
     )
     return Draws(names, draws, origin + (f"; {', '.join(held)} held at the estimate" if held else ""))
 
@@ -381,3 +442,119 @@ class IdentifiedLinear:
 
 
 Finished = Identified | IdentifiedLinear
+
+
+# --- The job of `bayes-aero export`: an identified model in the form of another simulator, in a folder of its own.
+
+SCHEMA = "bayes_aero/export/1"
+WIDTH = 100
+
+
+def export(
+    given: str, form: str, *, out: Path | None = None, card: str | None = None, draws: int = 0, seed: int = 0
+) -> tuple[Path, dict[str, Any]]:
+    """Write the model of a result, or of a card that states all values, as `form`, one of `FORMS`, with `draws`.
+
+    `out`: the folder to make; default NAME_FORM in the working directory. `card`: that of the result, where it is not
+    found by itself. Returns the folder, and what export.json says.
+    """
+    if form not in FORMS:
+        raise InputError(f"there is no form {form!r} to export to; give one of {', '.join(FORMS)}")
+    found, result = read_identified(given, card)
+    found = _renamed(found)
+    if draws:
+        if result is None:
+            raise no_draws(found.name)
+        found = replace(found, draws=drawn(result, exported(found), draws, seed))
+    target = out or Path(f"{found.name}_{form}")
+    return target, write_export(found, form, target)
+
+
+def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
+    """Write a model as `form` into the new folder `target`, and say what export.json says."""
+    found = _renamed(found)
+    if target.exists() or target.is_symlink():
+        raise InputError(f"{target} exists; give another folder with --out")
+    part = beside(target.absolute())
+    try:
+        part.mkdir(parents=True)
+        facts = export_facts(found, form, FORMS[form](found, part))
+        write_json(facts, part / "export.json")
+        write_whole(wrapped((*about(found), *use_of(found, form)), WIDTH) + "\n", part / "README.txt")
+        if found.draws is not None:
+            text = io.StringIO(newline="")
+            rows = ([repr(float(x)) for x in row] for row in found.draws.values)
+            csv.writer(text).writerows([found.draws.names, *rows])
+            write_whole(text.getvalue(), part / "draws.csv")
+        put_folder(part, target.absolute())
+    except OSError as reason:
+        raise InputError(
+            f"cannot write {target} ({reason.strerror or reason}); give another folder with --out"
+        ) from None
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return facts
+
+
+def _renamed(found: Identified) -> Identified:
+    """The model under a name that is one in XML and for every system's files."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", found.name)
+    return replace(found, name=safe_name(name if re.match(r"[A-Za-z_]", name) else f"_{name}"))
+
+
+def write_jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:
+    """A root directory of JSBSim; the names of its files."""
+    files = jsbsim_files(found)
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(text, folder / name)
+    return tuple(files)
+
+
+FORMS: dict[str, Callable[[Identified, Path], tuple[str, ...]]] = {
+    "jsbsim": write_jsbsim,
+    "fmu": lambda found, folder: (write_fmu(found, folder).name,),
+    "tables": write_tables,
+}
+
+
+def export_facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[str, Any]:
+    """What a program may want to know of the export."""
+    read = found.program.inputs_of("parameter")
+    return {
+        "schema": SCHEMA,
+        **picked(found, "name", "title"),
+        "form": form,
+        "version": version(),
+        "files": list(files),
+        "parameters": {
+            p.name: {"value": found.values[p.name], "unit": p.unit} for p in found.exported.parameters if p.name in read
+        },
+        "inputs": list(found.program.inputs_of("signal")),
+        "states": list(found.program.inputs_of("state")),
+        "outputs": list(found.program.outputs),
+        "flown": {name: list(found.flown[name]) for name in found.signals if name in found.flown},
+        "sources": list(found.sources),
+        "validity": list(validity(found)),
+        "draws": None if found.draws is None else {"count": len(found.draws.values), "origin": found.draws.origin},
+        "left_out": list(found.left_out),
+    }
+
+
+def use_of(found: Identified, form: str) -> tuple[str, ...]:
+    """How the files of a form are used."""
+    if form == "jsbsim":
+        table = [f"{n}: {PROPERTIES[n][0]}" for n in found.program.inputs_of("signal") if n in PROPERTIES]
+        return (
+            f"This folder is a root directory of JSBSim with the aircraft {found.name}. For your own aircraft take the "
+            "files of aerodynamics and of the system, put the system before the aerodynamics, and set AERORP to the "
+            "aerodynamic reference point. The system declares what JSBSim does not have, bayes-aero/input/...",
+            f"Read from JSBSim: {'; '.join(table)}.",
+        )
+    if form == "fmu":
+        return ("FMI 2.0, co-simulation; it runs where Python runs. The time step solves the separation lag exactly.",)
+    return (
+        "A coefficient is the sum of its tables, each interpolated linearly; interpolation_error is the sum of the "
+        "largest errors along the axes. X is an axis: take the incidence from its tables, the static X from "
+        "X_static, and X through its lag where there is one.",
+    )

@@ -1,0 +1,536 @@
+"""What each command has found, as its document and its time histories."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
+from msgspec import UNSET
+
+from bayes_aero.atomic_write import write_whole
+from bayes_aero.diagnosis.result import (
+    COEFFICIENTS,
+    Cause,
+    CausesInBand,
+    Diagnosis,
+    DiagnosisView,
+    Disagreement,
+    FoundTerm,
+    Motion,
+    ProcessNoise,
+    SimulatedManoeuvre,
+    Tested,
+    Trajectories,
+    TrajectoryFit,
+    View,
+)
+from bayes_aero.diagnosis.result import SimulatedManoeuvre as FlightPath
+from bayes_aero.errors import failure, plain_line
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.results import (
+    FrequencyFit,
+    GPReport,
+    Identification,
+    Inseparable,
+    MleResult,
+    NextFlight,
+    Posterior,
+)
+from bayes_aero.jobs.io import documents, parts
+from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
+from bayes_aero.jobs.store import picked
+from bayes_aero.model.records import with_sums
+from bayes_aero.physics.filters import differentiate, smooth
+from bayes_aero.report.figures.every_figure import FIGURES
+from bayes_aero.report.tables.comparison import flown
+from bayes_aero.report.tables.fly import parameter_rows
+from bayes_aero.report.tables.run_tables import PooledScores, next_flight_table, parameter_table, validation_table
+from bayes_aero.report.tables.table import write_csv
+from bayes_aero.report.text.diagnosis import sentences
+
+FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
+
+Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated records hide, by effect
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A diagnosis with all that is shown of it.
+
+    `named`: each hidden effect is first, named, ambiguous, minor or missed. `test_points` are the manoeuvres that
+    decide all that is open, `in_band` the sizes of the causes in a band of frequencies, `failures` parts that
+    failed unexpectedly.
+    """
+
+    view: DiagnosisView
+    hidden: Hidden | None = None
+    named: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    health: tuple[HealthFinding, ...] = ()
+    consistency: Consistency | None = None
+    failures: tuple[str, ...] = ()
+    test_points: Mapping[str, Any] = field(default_factory=dict)
+    in_band: CausesInBand | None = None
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The finding itself."""
+        return self.view.diagnosis
+
+
+def diagnosis_results(
+    outcome: Outcome, card: Card, records: Sequence[FlightRecord], provenance: Mapping[str, Any]
+) -> documents.DiagnosisDocument:
+    """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
+    view, d = outcome.view, outcome.diagnosis
+    seen = view if isinstance(view, View) else None  # coefficients; else only trajectories were compared
+    named = {(c.stage, c.name) for c in d.causes}
+    models = {} if seen is None else {"before": seen.card, "after": seen.extended}
+    return documents.DiagnosisDocument.of(
+        d,
+        card=card,
+        records=record_parts(records, card),
+        consistency=parts.ConsistencyPart.of(outcome.consistency),
+        tested=tested_part(d.tested, d.compared),
+        sentences=sentences(view),
+        causes=[cause_part(cause) for cause in d.causes],
+        unexplained=d.unknown,
+        terms=[term_part(one) for one in d.terms],
+        cancelling=d.together,
+        screening=[
+            documents.ScreenedPart.of(s, stage=r.stage, threshold=r.threshold, cause=(r.stage, s.effect) in named)
+            for r in view.rankings
+            for s in r.candidate_scores
+        ],  # every candidate in the first election of each stage, the highest score first
+        base_parameters=view.moves,
+        covariance=view.covariance and documents.CovariancePart.of(view.covariance, residuals="coloured"),
+        residuals={when: model.composition for when, model in models.items()},
+        trajectories=trajectories_part(view.trajectories, card),
+        stall={} if seen is None else {name: stall.numbers() for name, stall in seen.stalls.items()},
+        test_points=outcome.test_points,
+        in_band=outcome.in_band,
+        health=outcome.health,
+        notes=(*d.notes, *outcome.notes),
+        failures=outcome.failures,
+        provenance=provenance,
+        hidden=UNSET if outcome.hidden is None else documents.HiddenPart.of((outcome.hidden, outcome.named)),
+    )
+
+
+def term_part(found: FoundTerm) -> documents.TermPart:
+    """A form of unexplained structure."""
+    term, others = found.term, {term.name: weight for term, weight in found.others}
+    return documents.TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
+
+
+def tested_part(tested: Tested | None, compared: str) -> documents.TestedPart:
+    """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
+    if tested is None:
+        return documents.TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
+    outputs = {n: documents.TestedOutput.of(one, unit=STANDARD_CHANNELS[n].unit) for n, one in tested.outputs.items()}
+    return documents.TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
+
+
+def record_parts(records: Sequence[FlightRecord], card: Card) -> list[parts.RecordPart]:
+    """The records at a glance, with the flown range of each channel (SI), a spike left out."""
+    told = []
+    for r in records:
+        channels = {name: np.asarray(x, dtype=float) for name, x in with_sums(r, card).items()}
+        if "alpha" in channels and "alpha_dot" not in channels:  # its rate, which effects read
+            channels["alpha_dot"] = np.asarray(differentiate(smooth(channels["alpha"]), r.dt))
+        ranges = {name: tuple(map(float, np.quantile(x, FLOWN))) for name, x in channels.items()}
+        told.append(parts.RecordPart.of((r.name, r.n, r.dt, float(np.ptp(r.time)), ranges)))
+    return told
+
+
+def cause_part(cause: Cause) -> documents.CausePart:
+    """One named cause, and what it gains on data that were not fitted."""
+    gain, when = cause.gain, {"before": cause.gain.before, "after": cause.gain.after}
+    scores = [(key, word, by) for key in ("r2", "rmse", "r", "theil") for word, by in when.items()]
+    by_coefficient = {
+        name: {f"{key}_{word}": getattr(by[name], key) for key, word, by in scores}
+        for name in gain.before
+        if name in gain.after
+    }
+    return documents.CausePart.of(cause, gain=documents.GainPart.of(gain, by_coefficient=by_coefficient))
+
+
+# --- Simulated trajectories.
+
+
+def trajectories_part(flown: Trajectories | None, card: Card) -> documents.TrajectoriesPart:
+    """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
+    if flown is None:
+        return documents.TrajectoriesPart()
+    before, after, asked = flown.card, flown.extended, flown.asked
+    return documents.TrajectoriesPart.of(
+        flown,
+        status={"card": before.status.name, "extended": after.status.name},
+        at_bound={"card": before.at_bound, "extended": after.at_bound},
+        causes={name: documents.KeptPart(*missed, name in asked.kept) for name, missed in asked.missed.items()},
+        tolerances=stated_tolerances(card, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}),
+        paths=[path_part(parts.ComparedPath, path) for path in flown.paths],
+        parameters={
+            name: documents.FlownEstimate(
+                before.values.get(name),
+                value,
+                flown.deviation[name],
+                after.units[name],
+                name in after.held,
+                name in after.at_bound,
+            )
+            for name, value in after.values.items()
+        },
+    )
+
+
+def stated_tolerances(card: Card, units: Mapping[str, str]) -> dict[str, parts.StatedTolerance]:
+    """The card's tolerances of these outputs."""
+    stated = {name: t for name, t in card.tolerances.items() if name in units}
+    return {name: parts.StatedTolerance(t.value, units[name], t.source) for name, t in stated.items()}
+
+
+def path_part(
+    kind: type[parts.ComparedPath | parts.FlownPath], path: SimulatedManoeuvre, units: Mapping[str, str] | None = None
+) -> Any:
+    """One simulated manoeuvre; `units` of outputs (SI) for channels that the program does not know by name."""
+    part = parts.ComparedOutput if kind is parts.ComparedPath else parts.PathOutput
+    outputs = {
+        name: part.of(
+            **vars(error) | vars(error.theil), unit=STANDARD_CHANNELS[name].unit if units is None else units[name]
+        )
+        for name, error in path.errors.items()
+    }
+    return kind.of(path, outputs=outputs)
+
+
+# --- results.json: what one identification found, in a versioned schema.
+
+
+def results(
+    identification: Identification,
+    verdict: list[str],
+    provenance: dict[str, Any],
+    simulated: Sequence[SimulatedManoeuvre] = (),
+) -> parts.IdentificationDocument:
+    """The table of contents of a run as plain numbers and text; parts not yet computed are absent.
+
+    `simulated` are the manoeuvres flown with the fitted coefficients.
+    """
+    run = identification
+    alone = {name: parts.AloneFit.of(fit, **_fit(fit)) for name, fit in run.alone.items()}
+    return parts.IdentificationDocument.of(
+        card=run.card,
+        records=record_parts(run.records, run.card),
+        coefficients=run.forming.value,
+        mle=parts.FitPart.of(run.mle, **_fit(run.mle), covariance=run.mle.corrected, alone=alone),
+        consistency=parts.ConsistencyPart.of(run.consistency) if run.consistency else UNSET,
+        frequency=frequency_part(run.frequency) if run.frequency else UNSET,
+        posterior=parts.IdentifiedPosterior(noise=run.noise.value, **posterior_parts(run.posteriors))
+        if run.posteriors
+        else UNSET,
+        next_flight=next_flight_part(run.next_flight) if run.next_flight else UNSET,
+        stall=run.stall.numbers() if run.stall else UNSET,
+        gpr=processes_part(run.gp) if run.gp else UNSET,
+        simulated=[path_part(parts.FlownPath, path) for path in simulated] or UNSET,
+        truth=UNSET if run.truth is None else {name: run.truth[name] for name in flown(run)},
+        verdict=verdict,
+        **picked(run, "health", "notes", "failures"),
+        provenance=provenance | {"seconds": {k: round(v, 2) for k, v in run.seconds.items()}},
+    )
+
+
+def _fit(result: MleResult) -> dict[str, Any]:
+    return {
+        "status": result.status.name.lower(),
+        "advice": result.status.value,
+        "parameters": _estimates(result),
+        "inseparable": inseparable_parts(result.inseparable),
+        "strong_correlations": [parts.CorrelatedPart([a, b], value) for a, b, value in result.strong_correlations()],
+        "warnings": result.warnings(),
+    }
+
+
+def _estimates(fit: MleResult | FrequencyFit, apart: Mapping[str, float] | None = None) -> dict[str, Any]:
+    """Estimates with their bounds, by how much the bias of sensor noise was moved, and how far they are apart."""
+    bias = [None] * len(fit.names) if fit.bias is None else fit.bias
+    keys = ("estimate", "crb", "crb_corrected", "noise_bias", "unit")
+    columns = zip(fit.estimate, fit.crb, fit.crb_corrected, bias, fit.units, strict=True)
+    rows = zip(fit.names, (dict(zip(keys, row, strict=True)) for row in columns), strict=True)
+    return {name: parts.BandEstimate.of(**row, difference=(apart or {}).get(name, UNSET)) for name, row in rows}
+
+
+def frequency_part(fit: FrequencyFit) -> parts.FrequencyPart:
+    """A fit in a band."""
+    return parts.FrequencyPart.of(fit, parameters=_estimates(fit, fit.apart))
+
+
+def inseparable_parts(found: Sequence[Inseparable]) -> list[parts.InseparablePart]:
+    """Sets of parameters that the record cannot separate."""
+    return [parts.InseparablePart(dict(zip(one.names, one.wider, strict=True))) for one in found]
+
+
+def posterior_parts(posteriors: Mapping[str, Posterior]) -> dict[str, Any]:
+    """Marginals by sampler and parameter, and under `status` whether each sampler's draws may be used."""
+    status = {
+        key: parts.SamplerPart.of((p.noise, p.status.name.lower(), p.status.value)) for key, p in posteriors.items()
+    }
+    return {key: posterior.marginals for key, posterior in posteriors.items()} | {"status": status}
+
+
+def next_flight_part(found: NextFlight) -> parts.NextFlightPart:
+    """Aircraft, scatter, next flight and manoeuvres, pooled and alone, by parameter."""
+    parameters = {
+        p.name: parts.NextParameter.of(
+            unit=p.unit,
+            aircraft=found.aircraft[p.name],
+            scatter=asdict(found.scatter[p.name]) | {"over_prior": found.narrowed[p.name]},
+            next_flight=found.following[p.name],
+            pooled={m: found.pooled[m][p.name] for m in found.manoeuvres},
+            alone={m: found.alone[m][p.name] for m in found.manoeuvres if p.name in found.alone[m]},
+            undetermined=found.undetermined.get(p.name, ()),
+        )
+        for p in found.parameters
+    }
+    status = {"status": found.status.name.lower(), "advice": found.status.value}
+    return parts.NextFlightPart.of(found, likelihood=found.tree.attrs["likelihood"], parameters=parameters, **status)
+
+
+def processes_part(report: GPReport) -> parts.ProcessesPart:
+    """By split and coefficient: scores over the test points of all folds together, and each fold's own."""
+    splits: dict[str, Any] = {}
+    for split, folds in report.splits.items():
+        splits[split] = {}
+        for name in folds[0]:
+            own = [fold[name] for fold in folds]
+            pooled = PooledScores.of(own)
+            inside = {f"coverage{round(100 * level)}": share for level, share in pooled.coverage.items()}
+            each = [{"gpr": v.gp_scores, "mle": v.mle_scores} for v in own]
+            scores = {"k_hat": pooled.k_hat, "status": pooled.status, "mle": pooled.mle, "folds": each}
+            splits[split][name] = parts.ProcessPart.of(pooled.gp, **inside, **scores)
+    return parts.ProcessesPart.of(sampled_split=report.chosen, **splits)
+
+
+# --- What an identification writes beside results.json.
+
+
+def write_identification(run: Identification, out: Path) -> None:
+    """Its tables."""
+    write_csv(parameter_table(run), out / "parameters.csv")
+    if run.next_flight is not None:
+        write_csv(next_flight_table(run), out / "next_flight.csv")
+    if run.gp is not None:
+        write_csv(validation_table(run), out / "validation.csv")
+
+
+def remove_older(run: Identification, out: Path, *, page: bool, figures: bool) -> None:
+    """Take away what an earlier run has left in the folder and this one, now complete, has no successor for."""
+    older = {f"posterior_{key}.nc" for key in ("emcee", "nuts", "white") if key not in run.posteriors}
+    older |= {"gpr.nc", "validation.csv"} if run.gp is None else set()
+    older |= {"next_flight.csv", "next_flight.nc"} if run.next_flight is None else set()
+    older |= set() if page else {"report.html"}
+    older |= set() if figures else {f"figures/{stem}.png" for stem in FIGURES}
+    for name in older:
+        (out / name).unlink(missing_ok=True)
+
+
+def save_gp(report: GPReport, path: Path) -> None:
+    """gpr.nc: a group per coefficient with its hyperparameters' posterior, and the validation of every split."""
+    tree = xr.DataTree(name="gpr")
+    for name, fit in report.fits.items():
+        if fit.posterior is not None:
+            tree[name] = fit.posterior.copy()
+    for split, folds in report.splits.items():
+        for number, fold in enumerate(folds):
+            for name, v in fold.items():
+                columns = {k: ("test", getattr(v, k)) for k in ("measured", "gp", "gp_low", "gp_high", "mle")}
+                tree[f"validation/{split}_{number}/{name}"] = xr.DataTree(
+                    xr.Dataset(columns, coords={"index": ("test", v.test)})
+                )
+    write_whole(tree.to_netcdf(engine="h5netcdf"), path)
+
+
+# --- A fit to trajectories with its findings, and the file that holds it, trajectories.json.
+
+RESULTS = "trajectories.json"
+SAMPLERS = ("nuts", "emcee")  # the file is written when the first has ended, too
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A fit to trajectories with its findings, in SI and radians.
+
+    `flown.fit` has estimates (k,), standard errors and `det_R`. `sentences` are the findings, `notes` remarks on the
+    input, `failures` parts that failed unexpectedly, `apart` parameters for which the coefficients of the same record
+    give other values, `posteriors` those of the fit with process noise, by sampler (`nuts`, `emcee`), `motion` modes
+    of motion of a fit that converged.
+    """
+
+    flown: TrajectoryFit
+    sentences: tuple[str, ...]
+    notes: tuple[str, ...]
+    health: tuple[HealthFinding, ...] = ()
+    consistency: Consistency | None = None
+    failures: tuple[str, ...] = ()
+    apart: tuple[Disagreement, ...] = ()
+    process_noise: ProcessNoise | None = None
+    posteriors: Mapping[str, Posterior] = field(default_factory=dict)
+    motion: Motion | None = None
+
+
+def fly_results(
+    found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]
+) -> documents.TrajectoriesDocument:
+    """trajectories.json: plain numbers and text, SI and radians."""
+    flown, fit = found.flown, found.flown.fit
+    setting, beliefs = flown.setting, flown.departure_sd
+    return documents.TrajectoriesDocument.of(
+        flown,
+        card=card,
+        records=record_parts(records, card),
+        consistency=parts.ConsistencyPart.of(found.consistency),
+        status=fit.status.name.lower(),
+        sentences=found.sentences,
+        fitted_outputs=fit.flown.outputs,
+        setting=parts.SettingPart(
+            FREE if setting.initial is None else FIXED, setting.priors, HELD if setting.held else LINEAR
+        ),
+        **picked(fit, "iterations", "cost", "det_R"),
+        parameters=parameter_rows(flown),
+        covariance=fit.corrected,
+        inseparable=inseparable_parts(fit.inseparable),
+        disagreement=found.apart,
+        process_noise=UNSET if found.process_noise is None else found.process_noise,
+        posterior=documents.FlownPosterior.of(**dict.fromkeys(SAMPLERS, UNSET) | posterior_parts(found.posteriors))
+        if found.posteriors
+        else UNSET,
+        frequency=[frequency_part(fit) for fit in flown.frequency] or UNSET,
+        motion=UNSET if found.motion is None else motion_part(found.motion),
+        initial_states={
+            manoeuvre: {
+                n: documents.InitialState(*x, flown.units.get(n, "1"), beliefs.get(n)) for n, x in states.items()
+            }
+            for manoeuvre, states in flown.initial.items()
+        },
+        residual_sd=dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),
+        tolerances=stated_tolerances(card, {name: flown.units[name] for name in flown.outputs}),
+        paths=[path_part(parts.FlownPath, path, flown.units) for path in flown.paths],
+        **picked(found, "health", "notes", "failures"),
+        provenance=source,
+    )
+
+
+def motion_part(found: Motion) -> documents.MotionPart:
+    """Modes of motion, SI and radians."""
+    modes = [
+        documents.ModePart.of(mode, eigenvalue=(mode.eigenvalue.real, mode.eigenvalue.imag), **mode.quantities)
+        for mode in found.modes
+    ]
+    return documents.MotionPart.of(found, estimates="process noise" if found.filtered else "output error", modes=modes)
+
+
+# --- histories.nc: the time histories behind the numbers of a run, to be laid over those of another tool. SI, radians.
+
+HISTORIES = "histories.nc"
+SCHEMA = "bayes_aero/histories/1"
+ENGINE = "h5netcdf"
+Histories = Mapping[str, xr.Dataset]
+"""Groups of the file by name: manoeuvres end to end, `manoeuvre` the number of each sample's, from 1 as in `names`."""
+
+
+def diagnosed(view: View) -> Histories:
+    """Coefficients as the card reconstructs them, by the card's model and by the extended one, and both models' X.
+
+    By a model is what was measured less what the model leaves: errors of sensors that it knows are in it.
+    """
+    models = {"card": view.card, "extended": view.extended}
+    columns = {}
+    for c, name in enumerate(view.coefficients):
+        columns[f"{name}_measured"] = view.measured[:, c]
+        columns |= {f"{name}_{key}": view.measured[:, c] - m.residual[:, c] for key, m in models.items()}
+    columns |= {f"X_{key}": m.signals["X"] for key, m in models.items() if "X" in m.signals}
+    time = view.diagnosis.aerodynamics.state.responses.flights.time
+    return {"coefficients": _group(columns, view.names, view.manoeuvre, time)}
+
+
+def identified(run: Identification) -> Histories:
+    """Coefficients as measured and by the maximum-likelihood fit to all manoeuvres."""
+    o, fitted = run.observations, run.fitted
+    measured, columns = np.asarray(o.measured), {}
+    for c, name in enumerate(o.coefficients):
+        columns |= {f"{name}_measured": measured[:, c], f"{name}_fitted": fitted[:, c]}
+    return {"coefficients": _group(columns, o.names, o.manoeuvre, o.time)}
+
+
+def flights(paths: Iterable[FlightPath], units: Mapping[str, str] | None = None) -> Histories:
+    """Outputs as measured and by each model: groups trajectories_fitted and trajectories_hold_out, by the paths' split.
+
+    `units` of outputs (SI), for channels that the program does not know by name.
+    """
+    known = units or {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
+    splits: dict[str, dict[str, list[FlightPath]]] = {}
+    for path in paths:
+        splits.setdefault(path.split, {}).setdefault(path.manoeuvre, []).append(path)
+    found = {}
+    for split, named in splits.items():
+        firsts = [own[0] for own in named.values()]
+        columns: dict[str, np.ndarray] = {}
+        unit: dict[str, str] = {}
+        for output in firsts[0].measured:
+            columns[column(output, "measured")] = np.concatenate([p.measured[output] for p in firsts])
+            for number, model in enumerate(p.model for p in next(iter(named.values()))):
+                simulated = [own[number].simulated[output] for own in named.values()]
+                columns[column(output, model)] = np.concatenate(simulated)
+            unit |= dict.fromkeys(list(columns)[len(unit) :], known[output])
+        manoeuvre = np.repeat(np.arange(len(firsts)), [len(p.time) for p in firsts])
+        time = np.concatenate([p.time for p in firsts])
+        found[f"trajectories_{split}"] = _group(columns, tuple(named), manoeuvre, time, unit)
+    return found
+
+
+def column(output: str, kind: str) -> str:
+    """A column's name; a slash in the name of a card's channel would open a group."""
+    return f"{output}_{kind}".replace("/", "|")
+
+
+def _group(
+    columns: Mapping[str, Float[np.ndarray, " n"]],
+    names: Sequence[str],
+    manoeuvre: Int[np.ndarray, " n"],
+    time: Float[np.ndarray, " n"],
+    units: Mapping[str, str] | None = None,
+) -> xr.Dataset:
+    unit = units or dict.fromkeys(columns, "1")
+    about = {"long_name": "time as recorded, s"}  # xarray would make durations of what has the unit s
+    data = {
+        "time": ("sample", time, about),
+        "manoeuvre": ("sample", manoeuvre + 1),
+        **{key: ("sample", x, {"units": unit[key]}) for key, x in columns.items()},
+    }
+    return xr.Dataset(data, attrs={"names": [plain_line(name) for name in names]})
+
+
+def put_histories(make: Callable[[], Histories], folder: Path) -> tuple[str, ...]:
+    """Write `histories.nc` into `folder`, whole or not at all.
+
+    Histories that cannot be written cost nothing else: an older file goes, and a sentence on it is returned.
+    """
+    path = folder / HISTORIES
+    try:
+        groups = make()
+        tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"schema": SCHEMA}), **groups})
+        small = {"zlib": True, "complevel": 1}
+        encoding = {f"/{key}": {str(name): small for name in group.data_vars} for key, group in groups.items()}
+        write_whole(tree.to_netcdf(engine=ENGINE, encoding=encoding), path)
+    except Exception as reason:  # whatever it is, the numbers stand
+        path.unlink(missing_ok=True)
+        return (failure(f"{HISTORIES} was not written", reason, folder),)
+    return ()
