@@ -14,8 +14,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from bayes_aero.dynamics.kalman import Filtered
-from bayes_aero.inference.calibration import one_step
-from bayes_aero.inference.scores import Calibration
+from bayes_aero.inference.results import Calibration
+from bayes_aero.inference.validation import one_step
 
 CASES = [(n, c, rho) for n, c in ((200, 3), (600, 1), (600, 7), (3000, 3)) for rho in (0.0, 0.15, 0.86)]
 APART = (Calibration.TOO_NARROW, Calibration.TOO_WIDE, Calibration.NOT_NORMAL)

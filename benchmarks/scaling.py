@@ -43,9 +43,9 @@ def samples(n: int) -> dict[str, float]:
     from bayes_aero.flight.card import read_card
     from bayes_aero.flight.reading import read_record
     from bayes_aero.flight.record import write_record
-    from bayes_aero.inference import ensemble
-    from bayes_aero.inference.ensemble import density_start, find_mode
+    from bayes_aero.inference import sampling
     from bayes_aero.inference.mle import fit_mle
+    from bayes_aero.inference.sampling import density_start, find_mode
     from bayes_aero.model.model import Model
     from bayes_aero.model.noise import Colour, Density, Noise
     from bayes_aero.model.observations import observe
@@ -69,14 +69,14 @@ def samples(n: int) -> dict[str, float]:
     density = Density.of(observations, model, Noise(Colour.AR1))
     mode = find_mode(density, density_start(density, mle))
     clock("mode")
-    target = ensemble._Target(density, mode)
+    target = sampling._Target(density, mode)
     walkers = 2 * (density.size + 2)
-    proposal = ensemble._IndependenceProposal(np.zeros(density.size), np.eye(density.size))
-    samplers = [ensemble._sampler(target, walkers, proposal, i) for i in range(ensemble.EnsembleLength().ensembles)]
+    proposal = sampling._IndependenceProposal(np.zeros(density.size), np.eye(density.size))
+    samplers = [sampling._sampler(target, walkers, proposal, i) for i in range(sampling.EnsembleLength().ensembles)]
     begin = 0.5 * np.random.default_rng(0).standard_normal((len(samplers), walkers, density.size))
-    ensemble._advance(samplers, 2, begin)
+    sampling._advance(samplers, 2, begin)
     clock("compile")
-    ensemble._advance(samplers, STEPS)
+    sampling._advance(samplers, STEPS)
     clock("emcee")
     return times
 

@@ -10,7 +10,7 @@ from bayes_aero.diagnosis.trajectory_result import (
     theil_parts,
 )
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.inference.results import OutputErrorStatus
 
 
 def halves(record: FlightRecord) -> Trajectories:

@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.selection import Absorbed, CancellingPair, Extension
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.reading import RecordReport
-from bayes_aero.inference.scores import Scores
+from bayes_aero.inference.results import Scores
 from bayes_aero.parameter import Parameter
 from bayes_aero.residuals.base import COEFFICIENTS as COEFFICIENTS
 from bayes_aero.residuals.base import FLIGHT_PATH as FLIGHT_PATH

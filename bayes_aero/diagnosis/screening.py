@@ -34,7 +34,7 @@ from bayes_aero.inference.covariance import (
     stationary_series,
     variance_inflation,
 )
-from bayes_aero.inference.scores import COLOURED_INNOVATIONS
+from bayes_aero.inference.results import COLOURED_INNOVATIONS
 
 # --- The colour of residuals: an autoregression per output, the uncertainty it leaves, and noise records made from it.
 

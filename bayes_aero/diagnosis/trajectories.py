@@ -54,9 +54,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import channels_of
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
-from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
-from bayes_aero.inference.results import CONFLICT_LIMIT, MleResult, MleStatus
+from bayes_aero.inference.output_error import OutputErrorResult, fit_cascade, fit_output_error, trajectories
+from bayes_aero.inference.results import CONFLICT_LIMIT, MleResult, MleStatus, OutputErrorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior

@@ -17,11 +17,9 @@ from bayes_aero.diagnosis.accuracy import Confirmation
 from bayes_aero.diagnosis.candidate_set import DEFAULT
 from bayes_aero.diagnosis.result import NOT_NOISE, Diagnosis
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState
-from bayes_aero.dynamics.flight import AircraftDynamics, unbiased
-from bayes_aero.dynamics.path import PathDynamics
-from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus, initial_state_sd
-from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, Stall
-from bayes_aero.inference.scores import OneStep, Scores
+from bayes_aero.dynamics.flight import AircraftDynamics, PathDynamics, unbiased
+from bayes_aero.inference.output_error import OutputErrorResult, initial_state_sd
+from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, OneStep, OutputErrorStatus, Scores, Stall
 from bayes_aero.parameter import Parameter
 
 START, FITTED = "start", "fitted"

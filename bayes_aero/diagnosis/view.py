@@ -32,11 +32,10 @@ from bayes_aero.diagnosis.trajectory_result import (
     View,
     theil_parts,
 )
-from bayes_aero.inference.calibration import stall_of
 from bayes_aero.inference.covariance import standard_error_of_sum
 from bayes_aero.inference.frequency import MIN_SHARE, cramer_rao, fit_in_band, without_noise_bias_in_band
-from bayes_aero.inference.results import FrequencyFit, Stall
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.results import FrequencyFit, Stall, score
+from bayes_aero.inference.validation import stall_of
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import LATERAL, NAMES

@@ -11,6 +11,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 from scipy.fft import next_fast_len
 from scipy.optimize import nnls
 
+from bayes_aero.arrays import AnyArray
+
 BLOCK = 0.2  # s; smoothed residuals vary no faster
 MIN_INNOVATIONS = 10  # for each coefficient of an autoregression; with fewer, blocks count as independent
 MIN_RESIDUAL_SHARE = 0.05  # least share 1 - h of an innovation that the fit leaves, with the leverage h of its block
@@ -339,3 +341,33 @@ def median_inflation(inflation: Float[np.ndarray, " k"]) -> float:
 def nats(deviance: float, inflation: float) -> float:
     """Log likelihood of a decrease of the deviance of white residuals, divided by the variance inflation (>= 1)."""
     return deviance / (2.0 * max(inflation, 1.0))
+
+
+# --- Log scores of predictions of hold-out data.
+
+
+def log_density(error: Float[AnyArray, "*n"], variance: Float[AnyArray, "*#n"]) -> Float[np.ndarray, "*n"]:
+    """Log density of each error of a normal prediction with this variance."""
+    return -0.5 * (error**2 / variance + np.log(2.0 * np.pi * variance))
+
+
+def log_score_gain(
+    before: Float[np.ndarray, " m"], after: Float[np.ndarray, " m"], inflation: float, lengths: Sequence[int]
+) -> tuple[float, float]:
+    """Gain in log score of one prediction over another of the same hold-out data, and its standard error, nats."""
+    # Log densities of m samples, in independent stretches of these `lengths`; the gain is over the variance
+    # `inflation`.
+    difference = (after - before) / inflation
+    return float(difference.sum()), standard_error_of_sum(difference, lengths)
+
+
+def log_score_gains(
+    names: Sequence[str],
+    before: Float[np.ndarray, "m c"],
+    after: Float[np.ndarray, "m c"],
+    inflation: float,
+    lengths: Sequence[int],
+) -> dict[str, tuple[float, float]]:
+    """`log_score_gain` of each output by itself, by name; log densities are (m, c)."""
+    pairs = zip(names, before.T, after.T, strict=True)
+    return {name: log_score_gain(one, other, inflation, lengths) for name, one, other in pairs}

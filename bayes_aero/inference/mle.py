@@ -22,11 +22,18 @@ from bayes_aero.flight.health.finding import noise_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import robust_covariance
 from bayes_aero.inference.optimise import Evaluation, Rule, at_bounds, minimise, newton_gain, truncated_step
-from bayes_aero.inference.results import MleResult, MleStatus, active_bounds, prior_conflicts
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.results import (
+    CONFLICT_LIMIT,
+    MIN_SHIFT,
+    ActiveBound,
+    MleResult,
+    MleStatus,
+    PriorConflict,
+    score,
+)
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, Observations, observe
-from bayes_aero.parameter import Role
+from bayes_aero.parameter import Parameter, Role
 from bayes_aero.physics.aircraft import Aircraft
 
 MAX_ITERATIONS = 100
@@ -374,3 +381,49 @@ def _full_steps(data: Data, start: Array, lower: Array, upper: Array, tolerance:
     nothing, empty = jnp.zeros(k), jnp.zeros((ANDERSON_MEMORY, k))
     begin = (no_point, nothing, nothing, empty, empty, True)
     return jax.lax.while_loop(lambda state: state[-1], body, begin)[0]
+
+
+# --- Restraints on estimates: priors that the data contradict, and active bounds.
+
+
+def prior_conflicts(
+    parameters: Sequence[Parameter], estimate: Float[np.ndarray, " k"], deviation: Float[np.ndarray, " k"]
+) -> tuple[PriorConflict, ...]:
+    """Priors that the `estimate` by likelihood alone contradicts, by its corrected standard error; strongest first."""
+    conflicts = []
+    for p, x, sd in zip(parameters, estimate, deviation, strict=True):
+        if p.prior.family == "uniform" or not np.isfinite(sd):
+            continue
+        mean, wide = p.prior.normal
+        difference, scatter = x - mean, sd
+        if p.prior.family == "lognormal" and x > 0.0:  # on the scale on which it is normal
+            difference = p.prior.location * np.log(x / p.prior.location)
+            scatter = sd * p.prior.location / x
+        distance = abs(difference) / np.hypot(scatter, wide)
+        if distance > CONFLICT_LIMIT:
+            both = (mean, wide), (float(x), float(sd))
+            conflicts.append(PriorConflict(p.name, p.unit, *both, float(distance), p.prior.source))
+    return tuple(sorted(conflicts, key=lambda c: -c.distance))
+
+
+def active_bounds(
+    parameters: Sequence[Parameter],
+    estimate: Float[np.ndarray, " k"],
+    gradient: Float[np.ndarray, " k"],
+    inverse: Float[np.ndarray, "k k"],
+    deviation: Float[np.ndarray, " k"],
+    active: Sequence[bool] | np.ndarray,
+) -> tuple[ActiveBound, ...]:
+    """Effect of each active bound on the estimates."""
+    # `gradient` of the log-likelihood: zero except for the active parameters. `inverse` of the information, active
+    # parameters included. `deviation`: corrected standard errors.
+    found = []
+    for i in map(int, np.flatnonzero(active)):
+        step = inverse[:, i] * gradient[i]
+        if not np.isfinite(step).all():
+            step = np.zeros_like(step)
+        moves = {p.name: float(step[j] / deviation[j]) for j, p in enumerate(parameters) if j != i and deviation[j] > 0}
+        shifts = sorted(((n, x) for n, x in moves.items() if abs(x) > MIN_SHIFT), key=lambda item: -abs(item[1]))
+        p, lower, free = parameters[i], bool(gradient[i] < 0.0), float(estimate[i] + step[i])
+        found.append(ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
+    return tuple(found)

@@ -25,7 +25,6 @@ from jaxtyping import Array, Bool, Float
 from bayes_aero.arrays import AnyArray
 from bayes_aero.errors import InputError
 from bayes_aero.inference.covariance import robust_covariance
-from bayes_aero.inference.ensemble import diagnose, find_mode
 from bayes_aero.inference.mle import (
     MAX_SEPARATE_FITS,
     SINGULAR,
@@ -35,8 +34,8 @@ from bayes_aero.inference.mle import (
     full_steps,
     scaled_inverse,
 )
-from bayes_aero.inference.nuts import NutsLength, sample_nuts
 from bayes_aero.inference.results import MleResult, MleStatus, NextFlight, Posterior
+from bayes_aero.inference.sampling import NutsLength, diagnose, find_mode, sample_nuts
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import LogDensity
 from bayes_aero.model.observations import Observations

@@ -9,15 +9,18 @@ AIAA J. 9, 28 (in flight test).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from bayes_aero.dynamics.flight import EffectDynamics
 from bayes_aero.dynamics.innovations import (
     disturbances_along,
     filter_segments,
@@ -25,11 +28,28 @@ from bayes_aero.dynamics.innovations import (
     linearise,
     noise_derivatives,
 )
-from bayes_aero.dynamics.kalman import Filtered, log_likelihood
+from bayes_aero.dynamics.kalman import Filtered, NoisePoint, innovations_density, log_likelihood
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health.finding import quantum
-from bayes_aero.inference.optimise import APPROXIMATE_SCORING, Evaluation, minimise
-from bayes_aero.inference.output_error_result import initial_state_sd
+from bayes_aero.inference.optimise import (
+    APPROXIMATE_SCORING,
+    Evaluation,
+    minimise,
+)
+from bayes_aero.inference.output_error import initial_state_sd
+from bayes_aero.inference.results import Posterior
+from bayes_aero.inference.sampling import (
+    EnsembleLength,
+    NutsLength,
+    WarmUp,
+    find_mode,
+    inside,
+    sample_ensemble,
+    sample_nuts,
+)
+from bayes_aero.model.noise import LogDensity
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.progress import Progress
 
 TOLERANCE, HELD_GAINS_TOLERANCE = 1e-3, 0.3  # of the log likelihood, with exact gradients and with the gains held
 MIN_NOISE = 1e-12  # of F and R
@@ -259,3 +279,172 @@ def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray
     covariance = np.zeros_like(information)
     covariance[np.ix_(informed, informed)] = np.linalg.pinv(block / scale, hermitian=True) / scale
     return covariance
+
+
+# --- A fit with all disturbances of a flight: gusts, and process noise of the states for what gusts do not explain.
+
+GUSTS = ("vertical_gust", "longitudinal_gust")
+FIRST_F = 0.3  # process noise at the start of a fit, in standard deviations of output error's residuals a second
+FIRST_F_GUSTS = 0.03  # the same in gusts: from a larger value, process noise of the states takes the place of a gust
+FIRST_R = 0.1  # measurement noise at the start, as a share of the variance of output error's residuals
+MIN_SHARE = 0.1  # of these starting values, below which a fit never starts
+
+
+def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
+    """The same segments in gusts; linear systems have no gusts."""
+    # Where the model has buffet, the noise of the sensors does not grow as the flow separates.
+    dynamics = flown.dynamics
+    if not isinstance(dynamics, EffectDynamics):
+        return flown
+    dynamics = dynamics.for_filter()
+    if not dynamics.meets_gusts:
+        return replace(flown, dynamics=dynamics)
+    gusts = (*GUSTS, *(("lateral_gust",) if "beta" in dynamics.states and "beta" in flown.outputs else ()))
+    absent = [name for name in gusts if name not in {e.name for e in dynamics.model.acting}]
+    model = dynamics.model.extended(*absent)
+    steady = np.ones_like(flown.noise_growth) if model.has_buffet else flown.noise_growth
+    return replace(flown, dynamics=replace(dynamics, model=model), noise_growth=steady)
+
+
+def fit_disturbed(
+    flown: SegmentTrajectories,
+    estimate: Float[np.ndarray, " k"],
+    R: Float[np.ndarray, " c"],
+    *,
+    priors: bool = True,
+    exact: bool = True,
+    similar: PredictionErrorResult | None = None,
+) -> tuple[SegmentTrajectories, PredictionErrorResult]:
+    """Fit with process noise, from the estimates of output error (k,) and the variances R of its residuals (c,), SI."""
+    # States that a sensor measures have process noise of their own; gusts have theirs; other states have none. Gusts
+    # and noise start from a fit of a `similar` model, one effect off. Returns the segments in gusts, and the fit.
+    gusty, outputs = disturbed(flown), flown.outputs
+    names, states = gusty.dynamics.names, gusty.dynamics.states
+    estimates = dict(zip(flown.dynamics.names, estimate, strict=True))
+    start = np.array([estimates.get(p.name, p.start) for p in gusty.dynamics.free])
+    sd = np.sqrt(R)
+    first = FIRST_F if names == flown.dynamics.names else FIRST_F_GUSTS
+    F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in states])
+    R = FIRST_R * R
+    if similar is not None:  # none so small that the likelihood is flat
+        estimates = dict(zip(similar.names, map(float, similar.estimate), strict=True))
+        estimates = {n: x for n, x in estimates.items() if n in gusty.dynamics.disturbance_parameters}
+        start = np.array(
+            [max(estimates[n], MIN_SHARE * x) if n in estimates else x for n, x in zip(names, start, strict=True)]
+        )
+        noise, R = dict(zip(similar.states, similar.F, strict=True)), similar.R
+        F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(states, F, strict=True)])
+    return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact)
+
+
+# --- The posterior of a flight fitted with process noise: parameters, process noise and measurement noise, jointly.
+# The density is that of `likelihood.prediction_error`, with the parameters' priors instead of their normal
+# approximations, and weak lognormal priors of the noise, so that the posterior is proper where a process noise is
+# not distinguishable from zero.
+# A noise or gust of hardly any size has a posterior that is flat in its logarithm below what the record can tell,
+# and falls off steeply above. Samplers therefore work on the logarithm of small and on the size of large ones
+# (`knee`).
+
+ENGINES = ("emcee", "nuts")  # the faster one first
+KNEE_OF_PROCESS, KNEE_OF_MEASUREMENT = 0.5, 0.03  # of the median, see `Parameter.knee`
+KNEE_OF_INTENSITY = 0.05  # of the prior's width
+SPREAD = 2.0  # standard deviation of the logarithm of a process or measurement noise: a factor of 50 either way, 95 %
+
+
+class InnovationsDensity(LogDensity):
+    """Parameters: the dynamics' free ones, F_state (process noise), sigma_output (measurement noise)."""
+
+    flown: SegmentTrajectories
+    deviation: tuple[float, ...] = eqx.field(static=True)  # of the measured initial state
+    # Medians of the priors: process noise by state (0 where there is none), standard deviations of the measurement
+    # noise by output; SI.
+    process: tuple[float, ...] = eqx.field(static=True)
+    measurement: tuple[float, ...] = eqx.field(static=True)
+    noise_label = "white, of states and measurements"  # pyright: ignore[reportAssignmentType]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Of the dynamics, of the process noise, of the measurement noise."""
+        dynamics = self.flown.dynamics
+        motion = []
+        for p in dynamics.free:
+            intensity = p.name in dynamics.disturbance_parameters and p.prior.family == "halfnormal"
+            motion.append(p.changed(knee=KNEE_OF_INTENSITY * p.prior.scale) if intensity else p)  # it may reach zero
+        process = [
+            _noise(f"F_{name}", f"process noise of {name}, in its unit per square root of a second", x, KNEE_OF_PROCESS)
+            for name, x in zip(dynamics.states, self.process, strict=True)
+            if x > 0.0
+        ]
+        measurement = [
+            _noise(f"sigma_{name}", f"standard deviation of the noise of {name}", x, KNEE_OF_MEASUREMENT)
+            for name, x in zip(self.flown.outputs, self.measurement, strict=True)
+        ]
+        return (*motion, *process, *measurement)
+
+    @property
+    def disturbed(self) -> Int[np.ndarray, " f"]:
+        """Indices of the states with process noise."""
+        return np.flatnonzero(np.array(self.process) > 0.0)
+
+    def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
+        """Log likelihood of the innovations; minus infinity where the filter diverges."""
+        k, c = len(self.flown.dynamics.free), len(self.flown.outputs)
+        F = jnp.zeros(len(self.process)).at[self.disturbed].set(x[k:-c])
+        point = NoisePoint(x[:k], F, x[-c:] ** 2)
+        total = innovations_density(self.flown, point, jnp.asarray(self.deviation))
+        return jnp.where(jnp.isfinite(total), total, -jnp.inf)
+
+    def start(self, fit: PredictionErrorResult) -> Float[np.ndarray, " k"]:
+        """The fit as a point of this density, moved inside its bounds."""
+        least = np.exp(-2.0 * SPREAD)  # times the median: a process noise of the fit may vanish, a lognormal does not
+        F = np.maximum(fit.F, least * np.array(self.process))[self.disturbed]
+        free = zip(fit.estimate, self.flown.dynamics.free, strict=True)
+        return np.array([*(inside(value, p.bounds) for value, p in free), *F, *np.sqrt(fit.R)])
+
+
+def _noise(name: str, text: str, median: float, knee: float) -> Parameter:
+    prior = Prior("lognormal", median, SPREAD, "weak, about output error's residuals; our choice")
+    return Parameter(name, "SI", 0.0, median, text, prior, (0.0, np.inf), knee=knee * median)
+
+
+SHORT = WarmUp(100, acceptance=0.8, metric=False)  # on a scale that the mode gives well
+
+
+class PosteriorLength(NamedTuple):
+    """Chains of both samplers for densities that take milliseconds: two each, one for each core of a small machine."""
+
+    nuts: NutsLength = NutsLength(chains=2, warmup=SHORT, max_blocks=5)
+    emcee: EnsembleLength = EnsembleLength(ensembles=2, max_steps=600)
+
+
+def sample_innovations(
+    flown: SegmentTrajectories,
+    fit: PredictionErrorResult,
+    R: Float[np.ndarray, " c"],
+    *,
+    seed: int = 0,
+    length: PosteriorLength = PosteriorLength(),
+    engines: Sequence[str] = ENGINES,
+    progress: Progress | None = None,
+) -> dict[str, Posterior]:
+    """The posterior by emcee and by NUTS, or one of these `engines`, from the `fit` (with priors) of `fit_disturbed`,
+    in coordinates scaled by the curvature at the mode."""
+    density = innovations_posterior(flown, R)
+    mode = find_mode(density, density.start(fit))
+    asked: Any = {"seed": seed, "progress": progress, "predictive": False}
+    samplers = {
+        "emcee": lambda: sample_ensemble(density, mode, length=length.emcee, **asked),
+        "nuts": lambda: sample_nuts(density, mode, length=length.nuts, **asked),
+    }
+    return {engine: samplers[engine]() for engine in engines}
+
+
+def innovations_posterior(flown: SegmentTrajectories, R: Float[np.ndarray, " c"]) -> InnovationsDensity:
+    """The density; `R` (c,) are variances of output error's residuals. A fixed initial state has no deviation."""
+    # Medians of the noise are `FIRST_F` and `FIRST_R` as at the start of the fit; states without a sensor have none.
+    dynamics = flown.dynamics
+    deviation = np.zeros(len(dynamics.states)) if flown.fixed is not None else initial_state_sd(dynamics)
+    sd = dict(zip(flown.outputs, map(float, np.sqrt(R)), strict=True))
+    process = tuple(FIRST_F * sd[name] if name in sd else 0.0 for name in dynamics.states)
+    measurement = tuple(float(np.sqrt(FIRST_R)) * sd[name] for name in flown.outputs)
+    return InnovationsDensity(flown.nameless, tuple(map(float, deviation)), process, measurement)

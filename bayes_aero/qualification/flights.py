@@ -20,9 +20,10 @@ from bayes_aero.diagnosis.selection_state import linearised
 from bayes_aero.dynamics.pilot import through_gusts
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
 from bayes_aero.errors import InputError
-from bayes_aero.inference.output_error import disturbed, fit_output_error, trajectories
-from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.output_error import OutputErrorResult, fit_output_error, trajectories
 from bayes_aero.inference.pooled import Hierarchy, from_prior_units, pool, prior_unit, to_prior_units
+from bayes_aero.inference.prediction_error import disturbed
+from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Envelope, required_of

@@ -23,7 +23,7 @@ from contender import Problem
 if TYPE_CHECKING:
     import aeroid
 
-    from bayes_aero.inference.output_error_result import OutputErrorResult
+    from bayes_aero.inference.output_error import OutputErrorResult
 
 JET = "jet.pickle"
 

@@ -13,10 +13,10 @@ import numpy as np
 from contender import OURS, PROBLEM, Problem
 from reference import Reference, WhitePosterior, agree, load
 
-from bayes_aero.inference.ensemble import density_start, find_mode
 from bayes_aero.inference.gp.kernel import Scaling
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import MleStatus
+from bayes_aero.inference.sampling import density_start, find_mode
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Observations

@@ -23,8 +23,7 @@ Run = Callable[[int], np.ndarray]
 
 def ours(problem: Problem, size: int, _: argparse.Namespace) -> Run:
     """`maximise`, which searches five directions and finds the other six in closed reach."""
-    from bayes_aero.inference.gp.kernel import Priors, ReducedData, noise_to_signal
-    from bayes_aero.inference.gp.optimum import maximise
+    from bayes_aero.inference.gp.kernel import Priors, ReducedData, maximise, noise_to_signal
 
     data, flat = ReducedData.of(*problem.processes[size]), Priors.flat()
     return lambda _: maximise(noise_to_signal(START), data, flat, w=START[:6].copy(), max_iterations=200).theta

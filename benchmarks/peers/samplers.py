@@ -34,18 +34,18 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Run]:
     """`sample_ensemble` or `sample_nuts`, as `identify` runs them; their burn-in always counts."""
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Run:
-        from bayes_aero.inference.ensemble import ModeStatus, PosteriorMode
+        from bayes_aero.inference.sampling import ModeStatus, PosteriorMode
         from bayes_aero.model.noise import Colour, Density, Noise
 
         model, observations = stall(problem)
         density = Density(observations, model, Noise(Colour.WHITE))
         mode = PosteriorMode(problem.u, problem.factor, problem.posterior(problem.u), ModeStatus.CONVERGED)
         if engine == "emcee":
-            from bayes_aero.inference.ensemble import EnsembleLength as Length
-            from bayes_aero.inference.ensemble import sample_ensemble as sample
+            from bayes_aero.inference.sampling import EnsembleLength as Length
+            from bayes_aero.inference.sampling import sample_ensemble as sample
         else:
-            from bayes_aero.inference.nuts import NutsLength as Length
-            from bayes_aero.inference.nuts import sample_nuts as sample
+            from bayes_aero.inference.sampling import NutsLength as Length
+            from bayes_aero.inference.sampling import sample_nuts as sample
         length: Any = Length(*QUICK[engine]) if options.quick else Length()
 
         def run(seed: int) -> Drawn:
@@ -99,7 +99,7 @@ def stock_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Run:
 
 def judge(problem: Problem, _: int, warm: list[tuple[float, Drawn]]) -> dict:
     """Medians over the runs of the least ESS and of its rates; the worst R-hat; means, to see that they agree."""
-    from bayes_aero.inference.ensemble import diagnose
+    from bayes_aero.inference.sampling import diagnose
 
     names = problem.names
     ess, rate, free, rhat = [], [], [], []

@@ -19,7 +19,7 @@ from bayes_aero.diagnosis import candidate_set
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord, write_record
-from bayes_aero.inference.output_error import GUSTS
+from bayes_aero.inference.prediction_error import GUSTS
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import plain_marks
 from bayes_aero.simulate.injection import misrecorded

@@ -22,21 +22,26 @@ from bayes_aero.inference import gp as fit
 from bayes_aero.inference.gp import Prediction, fit_gp, posterior
 from bayes_aero.inference.gp.kernel import (
     FLAT,
+    SD_BOUNDS,
     ExactPoint,
     HyperPrior,
+    MapStatus,
     Priors,
     ReducedData,
-    fit_emulator,
+    best_sizes,
+    find_map,
+    maximise,
     noise_to_signal,
     reduced_stats,
+    slopes,
     stats_and_gradient,
 )
-from bayes_aero.inference.gp.optimum import SD_BOUNDS, MapStatus, best_sizes, find_map, maximise, slopes
 from bayes_aero.inference.gp.posterior import (
     K_LIMIT,
     Budget,
     SampleStatus,
     Settings,
+    fit_emulator,
     laplace_root,
     log_density,
     pareto_smooth,
@@ -87,7 +92,7 @@ def test_a_covariance_that_cannot_be_factorised_is_a_status(monkeypatch):
     out = log_density(np.array([0.0, 0.0, 0.0, 3.0, -25.0]), data, Priors.flat())
     assert not out.ok
     assert np.isnan(out.value)
-    monkeypatch.setattr("bayes_aero.inference.gp.optimum.NOISE_BOUNDS", (-60.0, -50.0))
+    monkeypatch.setattr("bayes_aero.inference.gp.kernel.NOISE_BOUNDS", (-60.0, -50.0))
     best = maximise(np.array([1.0, -55.0]), data, Priors(noise=HyperPrior("flat")))
     assert best.status is MapStatus.not_positive_definite
 

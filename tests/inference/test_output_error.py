@@ -30,9 +30,16 @@ from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import parse_card, shipped_cards
 from bayes_aero.inference.frequency import linear_in_band
-from bayes_aero.inference.output_error import MAX_GROWTH, SeparatedFlow, fit_cascade, fit_output_error, trajectories
-from bayes_aero.inference.output_error_result import INITIAL_STATE_SD, OutputErrorStatus
+from bayes_aero.inference.output_error import (
+    INITIAL_STATE_SD,
+    MAX_GROWTH,
+    SeparatedFlow,
+    fit_cascade,
+    fit_output_error,
+    trajectories,
+)
 from bayes_aero.inference.prediction_error import fit_prediction_error
+from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.fly_json import fly_results
 from bayes_aero.model.model import Model

@@ -32,12 +32,6 @@ from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import System
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference import prediction_error
-from bayes_aero.inference.calibration import LEVELS, one_step, probability_transform
-from bayes_aero.inference.nuts import (
-    SPREAD,
-    innovations_posterior,
-    sample_innovations,
-)
 from bayes_aero.inference.optimise import (
     APPROXIMATE_SCORING,
     MAX_ITERATIONS,
@@ -47,9 +41,15 @@ from bayes_aero.inference.optimise import (
     bounded_step,
     minimise,
 )
-from bayes_aero.inference.prediction_error import PredictionErrorStatus, fit_prediction_error
-from bayes_aero.inference.results import PosteriorStatus
-from bayes_aero.inference.scores import Calibration
+from bayes_aero.inference.prediction_error import (
+    SPREAD,
+    PredictionErrorStatus,
+    fit_prediction_error,
+    innovations_posterior,
+    sample_innovations,
+)
+from bayes_aero.inference.results import Calibration, PosteriorStatus
+from bayes_aero.inference.validation import LEVELS, one_step, probability_transform
 from bayes_aero.model.observations import join
 from bayes_aero.parameter import Parameter, Prior
 

@@ -22,15 +22,20 @@ from tqdm import tqdm
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp.kernel import (
     FLAT,
+    SAME_OPTIMUM,
     HyperPrior,
+    MapStatus,
+    Optimum,
     Priors,
     ReducedData,
     Scaling,
+    distinct,
     factorise,
+    find_map,
+    maximise,
     noise_to_signal,
     scaled_distance_kernel,
 )
-from bayes_aero.inference.gp.optimum import SAME_OPTIMUM, MapStatus, Optimum, distinct, find_map, maximise
 from bayes_aero.inference.gp.posterior import (
     Budget,
     Sampled,

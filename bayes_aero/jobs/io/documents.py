@@ -17,7 +17,7 @@ from msgspec.structs import fields
 from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
 from bayes_aero.diagnosis.selection import CancellingPair
 from bayes_aero.flight.health.finding import Consistency, Departure, HealthFinding
-from bayes_aero.inference.scores import Share as InsideShare
+from bayes_aero.inference.results import Share as InsideShare
 
 Number = float | None
 Size = Annotated[float, Meta(ge=0)]
