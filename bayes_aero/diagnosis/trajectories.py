@@ -46,9 +46,16 @@ from bayes_aero.diagnosis.trajectory_result import (
     TrajectoryEstimates,
     TrajectoryFit,
 )
-from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics, biased_dynamics, unbiased
-from bayes_aero.dynamics.linear import LinearDynamics, Steady, modes
+from bayes_aero.dynamics.flight import (
+    AircraftDynamics,
+    Dynamics,
+    LinearDynamics,
+    aircraft_dynamics,
+    biased_dynamics,
+    unbiased,
+)
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
+from bayes_aero.dynamics.trim import Steady, modes
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card

@@ -19,12 +19,9 @@ from bayes_aero.dynamics.aircraft import RigidBody
 from bayes_aero.dynamics.system import Row, System, advance, integrate, later, step
 from bayes_aero.dynamics.trim import (
     CONTROLS,
-    SIDE_FORCE,
     SIGNALS,
     SURFACES,
     Condition,
-    FlightState,
-    Plant,
     RigidTrim,
     Trim,
     Values,
@@ -36,9 +33,107 @@ from bayes_aero.dynamics.trim import (
 )
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
+from bayes_aero.model import observations as observations
 from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import DEFAULT_RANGES, GRAVITY, Aircraft, Axis, Envelope, air, excursion
+from bayes_aero.physics.coefficients import accelerometers, motion_of_aircraft
 from bayes_aero.physics.filters import differentiate
+from bayes_aero.physics.kinematics import euler_rates
+
+# --- The simulated aircraft in three degrees of freedom: pilot, prescribed turn, and disturbances of the
+# coefficients.
+# Bank angle and sideslip are prescribed with their rates; the yaw rate follows from them (see `Plant.turn`). Flat
+# earth, no wind. The equations of motion are those of `physics.coefficients`.
+
+
+class FlightState(NamedTuple):
+    """State of `Plant`; SI."""
+
+    airspeed: Any
+    alpha: Any
+    theta: Any
+    q: Any
+    altitude: Any
+    lagged_X: Any = 1.0  # the lagged separation point
+    trim: Any = 0.0  # the pilot's trim command, rad
+
+
+PRESCRIBED = ("thrust", "stabilizer", "rudder", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap")
+TURNING = {"phi": "phi_rate", "phi_rate": "phi_acceleration", "beta": "beta_dot", "beta_dot": "beta_acceleration"}
+INPUTS = (
+    "time", *PRESCRIBED, *dict.fromkeys((*TURNING, *TURNING.values())), "alpha_led", "command", "dCL", "dCD", "dCm",
+)  # fmt: skip
+"""Inputs of `Plant`, SI: the stabilizer in addition to the pilot's command; bank and sideslip with their derivatives;
+the commanded alpha `alpha_led`, and the pilot's command in addition to feedback and trim; disturbances of the
+coefficients.
+"""
+
+
+class Plant(System):
+    """The aircraft with its model. The disturbance is multiplied by 1 + `buffet` (1 - X)."""
+
+    model: Model = eqx.field(static=True)
+    values: dict[str, Any]
+    aircraft: Aircraft
+    gains: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]  # on alpha, q and the integral of alpha
+    buffet: Float[Array, ""]
+    shares: Any = (1.0, 0.0)  # of the pilot's command in each of `CONTROLS`
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return FlightState._fields
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        """Derivative of the state, and every signal, from the state and `INPUTS`."""
+        state = FlightState(*x)
+        density, sound = air(state.altitude)
+        s = dict(u) | {name: getattr(state, name) for name in ("airspeed", "alpha", "theta", "q", "altitude")}
+        feedback = self.gains[0] * (state.alpha - u["alpha_led"]) + self.gains[1] * state.q
+        command = u["command"] + feedback + state.trim
+        s |= {"elevator": self.shares[0] * command, "stabilizer": u["stabilizer"] + self.shares[1] * command}
+        s |= {"density": density, "mach": state.airspeed / sound}
+        s |= self.turn(s)
+
+        def flow(alpha_dot):
+            """By the effects, with disturbances, and the separation point of steady flow."""
+            known = s | {"alpha_dot": alpha_dot}
+            static = self.model.static_separation(self.values, known, self.aircraft)
+            X = jnp.where(self.model.lag(self.values) > 0.0, state.lagged_X, static)
+            known = self.model.flow(self.values, known, self.aircraft, X=X)
+            growth = 1.0 + self.buffet * (1.0 - X)
+            return known | {"static_X": static} | {n: known[n] + growth * s[f"d{n}"] for n in ("CL", "CD", "Cm")}
+
+        implicit = any("alpha_dot" in effect.channels for effect in self.model.acting)
+        now = motion_of_aircraft(flow, s, s, self.aircraft, implicit=implicit)
+        rates = {name: now.rates[name] for name in ("airspeed", "alpha", "altitude")} | {"q": now.q_dot}
+        rates["theta"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[1]
+        lag = self.model.lag(self.values) * self.aircraft.chord / state.airspeed
+        X_dot = jnp.where(lag > 0.0, (now.flow["static_X"] - state.lagged_X) / jnp.where(lag > 0.0, lag, 1.0), 0.0)
+        derivative = FlightState(**rates, lagged_X=X_dot, trim=self.gains[2] * (state.alpha - u["alpha_led"]))
+        change = rates | {name: u[rate] for name, rate in TURNING.items()}
+        turning = jax.jvp(self.turn, ({name: s[name] for name in change},), (change,))[1]
+        now = now._replace(rotation=(turning["p"], now.q_dot, turning["r"]))
+        accelerations = accelerometers(now, s, self.aircraft)
+        outputs = s | accelerations | {"alpha_dot": rates["alpha"], "q_dot": now.q_dot}
+        return jnp.stack(derivative), outputs | {name: now.flow[name] for name in ("X", "CL", "CD", "Cm")}
+
+    def turn(self, s: Mapping[str, Any]) -> dict[str, Any]:
+        """Roll, yaw (body axes) and turn rate of a flight with this bank and sideslip, from the kinematic equations and
+        the equation of side force. The latter is V (r cos alpha - p sin alpha + beta-dot) = g cos theta sin phi + Y/m
+        with Y due to sideslip: without sideslip a coordinated turn. It neglects V-dot tan beta; the side force recorded
+        by `ay` does not."""
+        V, phi, theta, q = s["airspeed"], s["phi"], s["theta"], s["q"]
+        side = 0.5 * air(s["altitude"])[0] * V * self.aircraft.wing_area * SIDE_FORCE * s["beta"] / self.aircraft.mass
+        needed = GRAVITY * jnp.cos(theta) * jnp.sin(phi) / V + side - s["beta_dot"]
+        sin, cos = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
+        lean = jnp.cos(theta) / jnp.cos(phi)
+        rolling = q * jnp.tan(phi) * cos + s["phi_rate"] * sin
+        psi_dot = (needed + rolling) / (lean * cos + jnp.sin(theta) * sin)
+        p, r = s["phi_rate"] - psi_dot * jnp.sin(theta), psi_dot * lean - q * jnp.tan(phi)
+        return {"p": p, "r": r, "psi_dot": psi_dot}
+
+
+SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it sets only the yaw rate in sideslip
 
 
 class Pilot(NamedTuple):

@@ -14,8 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics
-from bayes_aero.dynamics.linear import LateOutputs
-from bayes_aero.dynamics.system import System, Trajectory, integrate
+from bayes_aero.dynamics.system import LateOutputs, System, Trajectory, integrate
 from bayes_aero.errors import InputError
 from bayes_aero.model.records import Flights, cuts_of
 from bayes_aero.physics.filters import advance

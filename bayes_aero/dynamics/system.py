@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -336,3 +336,68 @@ def _recurrence(
 
     # One segment after the other: of many at once XLA makes slower code for the small products.
     return jax.lax.map(along, (A, b, begin, h))
+
+
+# --- Linear systems, and delayed outputs of recorders.
+
+
+class LinearSystem(System):
+    """Rates of the states, then further outputs: `matrix` (rows, columns) times states, inputs and one. The row of an
+    output that is also a state is added to the state."""
+
+    matrix: Float[Array, "r c"]
+    named: tuple[str, ...] = eqx.field(static=True)
+    inputs_read: tuple[str, ...] = eqx.field(static=True)
+    read: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return self.named
+
+    @property
+    def state_outputs(self) -> tuple[str, ...]:
+        """States without a row of their own among the outputs."""
+        return tuple(name for name in self.named if name not in self.read)
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        """Rates and outputs by one product; for so few elements a sum compiles better than a matrix product."""
+        one = jnp.ones_like(x[0])
+        column = jnp.concatenate([x, jnp.stack([*(u[name] for name in self.inputs_read), one])])
+        rows = jnp.sum(self.matrix * column[None, :], axis=1)
+        s = len(self.named)
+        states = dict(zip(self.named, x, strict=True))
+        read = {name: row + states.get(name, 0.0) for name, row in zip(self.read, rows[s:], strict=True)}
+        return rows[:s], states | read
+
+
+# --- Delayed outputs of recorders, for a filter that has only the present state.
+
+
+class LateOutputs(System):
+    """A system with outputs delayed by `delays` (s): y(t - delay) to first order. The delay must be short against the
+    motion: for a sinusoid of 1 rad/s and a delay of 0.1 s the error is 0.5 %."""
+
+    plain: System
+    delays: Mapping[str, Any]
+
+    states: ClassVar[Any] = OfPlain()
+    envelope: ClassVar[Any] = OfPlain()
+    complete_start: ClassVar[Any] = OfPlain()
+    noise_density: ClassVar[Any] = OfPlain()
+    decay: ClassVar[Any] = OfPlain()
+    start_covariance: ClassVar[Any] = OfPlain()
+
+    @property
+    def state_outputs(self) -> tuple[str, ...]:
+        return tuple(name for name in self.plain.state_outputs if name not in self.delays)
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        rate, now = self.plain.motion(x, u)
+        state = dict(zip(self.states, x, strict=True))
+
+        def late(x):
+            found = dict(zip(self.states, x, strict=True)) | self.plain.motion(x, u)[1]
+            return {name: found[name] for name in self.delays}
+
+        slope = jax.jvp(late, (x,), (rate,))[1]
+        return rate, now | {n: (state | now)[n] - delay * slope[n] for n, delay in self.delays.items()}

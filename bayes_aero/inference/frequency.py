@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 from scipy.signal import csd
 
-from bayes_aero.dynamics.flight import Dynamics, unbiased
-from bayes_aero.dynamics.linear import LinearDynamics, LinearSystem
+from bayes_aero.dynamics.flight import Dynamics, LinearDynamics, unbiased
+from bayes_aero.dynamics.system import LinearSystem
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.card_tables import ONE

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayes_aero.dynamics.linear import LinearDynamics, linear_dynamics
+from bayes_aero.dynamics.flight import LinearDynamics, linear_dynamics
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Draws, Identified

@@ -18,8 +18,14 @@ from bayes_aero.diagnosis.consistency import in_gusts, no_flight_path
 from bayes_aero.diagnosis.flights import with_process_noise
 from bayes_aero.diagnosis.trajectories import fit_disagreements, fit_trajectories, motion_of, still_apart
 from bayes_aero.diagnosis.trajectory_result import FITTED, ProcessNoise, Setting, TrajectoryFit
-from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics, path_dynamics, taken_as_zero
-from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.flight import (
+    DERIVED,
+    Dynamics,
+    aircraft_dynamics,
+    linear_dynamics,
+    path_dynamics,
+    taken_as_zero,
+)
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.card_tables import is_file

@@ -19,7 +19,8 @@ import numpy as np
 from jax.scipy.linalg import expm
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.dynamics.linear import LinearDynamics, LinearSystem
+from bayes_aero.dynamics.flight import LinearDynamics
+from bayes_aero.dynamics.system import LinearSystem
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card_tables import ONE
 from bayes_aero.model.model import Model

@@ -39,8 +39,8 @@ from bayes_aero.diagnosis.trajectories import (
 from bayes_aero.diagnosis.trajectory_result import LagTest, ProcessNoise, SimulatedManoeuvre, TrajectoryFit
 from bayes_aero.diagnosis.view import band_of, causes_in_band, with_sensor_errors_held
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.linear import Steady
 from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.dynamics.trim import Steady
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from stranger_six import Plane, Strips
 
 from bayes_aero.dynamics.aircraft import ENVELOPE, HELD, Longitudinal, RigidBody
-from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics
-from bayes_aero.dynamics.linear import Steady, linear_dynamics, modes, named_modes
+from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, linear_dynamics
 from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.dynamics.system import System, integrate
+from bayes_aero.dynamics.trim import Steady, modes, named_modes
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord

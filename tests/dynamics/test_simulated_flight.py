@@ -11,8 +11,11 @@ import stranger_six
 from stranger_six import Plane
 
 from bayes_aero.dynamics.pilot import (
+    INPUTS,
     SECONDS,
+    FlightState,
     Pilot,
+    Plant,
     fly,
     fly_standard,
     multisine_inputs,
@@ -23,17 +26,7 @@ from bayes_aero.dynamics.pilot import (
     steps,
     three_two_one_one,
 )
-from bayes_aero.dynamics.trim import (
-    INPUTS,
-    Condition,
-    FlightState,
-    Plant,
-    conditions,
-    lead,
-    level_speed,
-    rigid_trim,
-    trimmed,
-)
+from bayes_aero.dynamics.trim import Condition, conditions, lead, level_speed, rigid_trim, trimmed
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model

@@ -23,8 +23,7 @@ from scipy.signal import lfilter
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.trajectory_result import FITTED
-from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.flight import aircraft_dynamics, linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError

@@ -24,10 +24,9 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 from scipy.stats import binom, norm
 
-from bayes_aero.dynamics.flight import Dynamics
+from bayes_aero.dynamics.flight import Dynamics, linear_dynamics
 from bayes_aero.dynamics.innovations import filter_segments, prediction_errors
 from bayes_aero.dynamics.kalman import Filtered, NoisePoint, innovations_density, log_likelihood
-from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import System
 from bayes_aero.flight.record import FlightRecord

@@ -12,8 +12,7 @@ import pytest
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.pilot import fly_standard
-from bayes_aero.dynamics.trim import INPUTS, FlightState, Plant
+from bayes_aero.dynamics.pilot import INPUTS, FlightState, Plant, fly_standard
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 from scipy.stats import norm
 
 from bayes_aero.diagnosis.design import Information
-from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.flight import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
