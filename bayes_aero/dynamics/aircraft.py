@@ -55,7 +55,6 @@ def recorded_drives(
 
 
 def _slope(x: Array, flights: Flights) -> Array:
-    """Derivative of the smoothed channel, manoeuvre by manoeuvre."""
     begin, parts = 0, []
     for length in flights.lengths:
         part = slice(begin, begin + length)
@@ -131,12 +130,10 @@ class EffectSystem(InGusts):
 
     @property
     def envelope(self) -> Mapping[str, tuple[float, float]]:
-        """Bounds far beyond any flight."""
         return ENVELOPE
 
     @property
     def lagged(self) -> bool:
-        """Whether the separation point is a state."""
         return any(e.stage is Stage.LAG for e in self.model.acting)
 
     @property
@@ -155,12 +152,10 @@ class EffectSystem(InGusts):
 
     @property
     def after(self) -> tuple[str, ...]:
-        """States after the flight states: altitude, gusts, and lagged separation points."""
         gusts = tuple(d.state for d in self.model.disturbances)
         return (*(("altitude",) if self.altitude else ()), *gusts, *self.points)
 
     def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
-        """The state by name, with the motion that it represents."""
         return dict(zip(self.states, x, strict=True))
 
     def complete_start(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
@@ -251,12 +246,10 @@ class RigidBody(EffectSystem):
 
     @property
     def by_angles(self) -> bool:
-        """Whether the states of attitude are Euler angles."""
         return self.euler or "phi" in self.held or "theta" in self.held
 
     @property
     def angles(self) -> tuple[str, ...]:
-        """Simulated angles of attitude."""
         return tuple(n for n in ANGLES if n not in self.held and (n != "psi" or self.heading))
 
     @property
@@ -270,7 +263,6 @@ class RigidBody(EffectSystem):
 
     @property
     def state_outputs(self) -> tuple[str, ...]:
-        """States that sensors measure directly; bank and heading are computed to the turn."""
         computed = (*QUATERNION, "phi", "psi")
         return tuple(name for name in super().state_outputs if name not in computed)
 
@@ -283,7 +275,6 @@ class RigidBody(EffectSystem):
         return jnp.stack([given[name] for name in self.states])
 
     def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
-        """The state by name, with bank, pitch, heading and the direction of gravity."""
         state = super().named(x)
         if self.by_angles:
             return state

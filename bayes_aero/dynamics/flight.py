@@ -145,11 +145,9 @@ class EffectDynamics(Dynamics):
 
     @property
     def meets_gusts(self) -> bool:
-        """Whether airspeed and alpha, which gusts change, are simulated."""
         return True
 
     def for_filter(self) -> EffectDynamics:
-        """The same with measured states, which a filter can correct."""
         return self
 
     @property
@@ -190,7 +188,6 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def rigid(self) -> bool:
-        """Whether it has six degrees of freedom; else it moves in the plane of symmetry."""
         return bool(self.held) or Axis.LATERAL in self.model.axes
 
     @cached_property
@@ -207,7 +204,6 @@ class AircraftDynamics(EffectDynamics):
 
     @cached_property
     def prescribed(self) -> tuple[str, ...]:
-        """States of a rigid body that are prescribed as recorded."""
         return held_states(self.model.axes, self.held) if self.rigid else ()
 
     @property
@@ -235,7 +231,6 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """The separation point, with which the noise grows."""
         return ("X",)
 
     def values(self, theta: Any) -> dict[str, Any]:
@@ -327,7 +322,6 @@ class BiasedDynamics(Dynamics):
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """Those of the dynamics, then the biases, output by output."""
         unit = lambda output: STANDARD_CHANNELS[output].unit if output in STANDARD_CHANNELS else "SI"  # noqa: E731
         biases = [
             Parameter(_name(output, k), unit(output), 0.0, 0.0, f"bias of recorded {output}, manoeuvre {k + 1}", prior)
@@ -337,7 +331,6 @@ class BiasedDynamics(Dynamics):
         return (*self.plain.free, *biases)
 
     def values(self, theta: Any) -> dict[str, Any]:
-        """Values of the dynamics, and the biases."""
         k = len(self.plain.free)
         return self.plain.values(theta[:k]) | {name: theta[i] for i, name in enumerate(self.names) if i >= k}
 
@@ -420,7 +413,6 @@ class PathDynamics(EffectDynamics):
 
     @cached_property
     def free(self) -> tuple[Parameter, ...]:
-        """Common parameters, then those of each manoeuvre."""
         several = len(self.lengths) > 1
         common = [p for p in self.model.free if not (several and p.name in self.own)]
         each = [p for p in self.model.free if several and p.name in self.own]
@@ -440,7 +432,6 @@ class PathDynamics(EffectDynamics):
         return self.named
 
     def values(self, theta: Any) -> dict[str, Any]:
-        """Values by name; a parameter of each manoeuvre as a value for each sample, (n,)."""
         found = dict(self.model.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
         count = len(self.lengths)
         for name in (n for n in self.own if _own_name(n, 0) in found):
@@ -586,7 +577,6 @@ class LinearDynamics(Dynamics):
 
     @property
     def flat(self) -> tuple[str, ...]:
-        """Free parameters of which the card states no prior."""
         return tuple(p.name for p in self.free if p.prior == FLAT)
 
     @property
@@ -605,7 +595,6 @@ class LinearDynamics(Dynamics):
         return self.fixed | {name: theta[i] for i, name in enumerate(self.names)}
 
     def system(self, values: Values, aircraft: Aircraft) -> System:  # noqa: ARG002
-        """The system with its matrix; several terms of one channel in a row are added."""
         own = self.rows.by_manoeuvre
         inputs_read = (*self.inputs, *own)
         columns = (*self.states, *inputs_read, ONE)
@@ -627,7 +616,6 @@ class LinearDynamics(Dynamics):
         return {output: parameter for output, parameter in self.rows.delays if output in outputs}
 
     def names_of(self, name: str) -> list[str]:
-        """Parameters of a constant that differs between manoeuvres, in the order of these."""
         return [f"{name}_{k + 1}" for k in range(len(self.lengths))]
 
 
@@ -652,7 +640,6 @@ def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynami
 
 
 def _sign_or_limits(name: str, rows: LinearCard) -> dict[str, Sign | Limits]:
-    """The sign or the limits that a parameter has as its dimensionless counterpart."""
     for state, terms in zip(rows.states, rows.rates, strict=True):
         for term in terms:
             channel, half = PART_OF.get(term.channel, (term.channel, 1.0))
@@ -667,7 +654,6 @@ def _sign_or_limits(name: str, rows: LinearCard) -> dict[str, Sign | Limits]:
 
 
 def _meaning(name: str, rows: LinearCard, units: Mapping[str, str]) -> tuple[str, str]:
-    """Unit and description of a parameter, from its first term."""
     for output, parameter in rows.delays:
         if parameter == name:
             return "s", f"delay of recorded {output}"

@@ -351,7 +351,6 @@ def _each_sample(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _step(flown: SegmentTrajectories) -> Float[Array, "w 1 1 1"]:
-    """Time of a Runge-Kutta step, s."""
     return (jnp.asarray(flown.dt) / flown.substeps)[:, None, None, None]
 
 

@@ -256,7 +256,6 @@ class _Local(NamedTuple):
 
 
 def _filter_path(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> tuple[Array, _Path]:
-    """The log likelihood, and the path of the filter."""
     prepared = prepare(flown, point.theta)
 
     def keep(sample):
@@ -338,7 +337,6 @@ def _linearise_along(system: System, rows: FilterInputs, F: Array, flown: Segmen
         )
 
     def by_state(f: Callable[[Array], Array], x: Float[Array, "w n s"]) -> tuple[Array, Array]:
-        """f and its derivative by the state of the same sample, the last axis."""
         along = lambda e: jax.jvp(f, (x,), (jnp.broadcast_to(e, x.shape),))  # noqa: E731
         return jax.vmap(along, out_axes=(None, -1))(jnp.eye(x.shape[-1]))
 

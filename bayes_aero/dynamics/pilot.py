@@ -84,7 +84,6 @@ class Plant(System):
         return FlightState._fields
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state, and every signal, from the state and `INPUTS`."""
         state = FlightState(*x)
         density, sound = air(state.altitude)
         s = dict(u) | {name: getattr(state, name) for name in ("airspeed", "alpha", "theta", "q", "altitude")}
@@ -95,7 +94,6 @@ class Plant(System):
         s |= self.turn(s)
 
         def flow(alpha_dot):
-            """By the effects, with disturbances, and the separation point of steady flow."""
             known = s | {"alpha_dot": alpha_dot}
             static = self.model.static_separation(self.values, known, self.aircraft)
             X = jnp.where(self.model.lag(self.values) > 0.0, state.lagged_X, static)
@@ -198,7 +196,6 @@ _fly_several = eqx.filter_jit(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0
 
 
 def _inputs(pilot: Pilot, command: Float[Array, " n"], dt: Any) -> dict[str, Float[Array, " n"]]:
-    """Inputs of `Plant`."""
     n = pilot.alpha.shape[0]
     disturbance = jnp.broadcast_to(pilot.disturbance, (n, 3)).T
     pilot = Pilot(*(jnp.broadcast_to(x, n) if jnp.ndim(x) == 0 else x for x in pilot))
@@ -267,20 +264,17 @@ class PilotedBody(RigidBody):
 
     @property
     def after(self) -> tuple[str, ...]:
-        """States after the flight states, the trim before the lagged separation points."""
         names = super().after
         points = len(names) - len(self.points)
         return (*names[:points], "trim", *names[points:])
 
     def separation_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> list[Any]:
-        """Of the trim and the separation points."""
         return [self.gains[2] * (state["alpha"] - s["led_alpha"]), *super().separation_rates(state, s)]
 
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
         return super().flow_signals(x, dict(u) | self._controls(self.named(x), u))
 
     def flow(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> dict[str, Any]:
-        """Flow with the disturbances of the coefficients."""
         known = super().flow(state, s)
         growth = 1.0 + self.buffet * (1.0 - known["X"])
         return known | {name: known[name] + growth * s[f"d{name}"] for name in DISTURBED_COEFFICIENTS}
@@ -290,7 +284,6 @@ class PilotedBody(RigidBody):
         return rates, outputs | self._controls(self.named(x), u)
 
     def _controls(self, state: Mapping[str, Any], u: Row) -> dict[str, Any]:
-        """Deflections, rad: command and feedback."""
         errors = {name: state[name] - u[f"led_{name}"] for name in ("alpha", "beta", "phi")}
         pitch = -self.gains[0] * errors["alpha"] - self.gains[1] * state["q"] - state["trim"]
         roll = -BANK * errors["phi"] - ROLL * state["p"]
@@ -343,7 +336,6 @@ _integrate = eqx.filter_jit(integrate)
 def _piloted_inputs(
     pilot: Pilot, trim: RigidTrim, chosen: Mapping[str, tuple[str, float]]
 ) -> dict[str, Float[Array, " n"]]:
-    """Inputs of `PilotedBody`: commands about the trim, and thrust."""
     n = np.asarray(pilot.alpha).shape[0]
     whole = lambda x: jnp.broadcast_to(jnp.asarray(x, float), n)  # noqa: E731
     disturbance = jnp.broadcast_to(jnp.asarray(pilot.disturbance, float), (n, 3)).T
@@ -426,7 +418,6 @@ def commands(
     def pilot(
         gains: tuple[float, ...] = TIGHT, alpha: Series = rest, thrust: Series = rest, **signals: Series
     ) -> Pilot:
-        """A pilot with changes from trim; thrust as a share of that in trim."""
         power = trim.thrust * np.maximum(1.0 + thrust, 0.1)
         feedback = dict(zip(("alpha_gain", "rate_gain", "trim_gain"), gains, strict=True))
         zeros = dict.fromkeys(("excitation", "phi", "beta", "stabilizer"), rest)

@@ -47,7 +47,6 @@ class SegmentTrajectories(eqx.Module):
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " w"]:
-        """Which manoeuvre each segment belongs to."""
         return self.flights.manoeuvre[self.index[:, 0]]
 
     def only_inside(self, y: Float[Array, "w n c"]) -> Float[Array, "w n c"]:
@@ -56,11 +55,9 @@ class SegmentTrajectories(eqx.Module):
 
     @property
     def growth(self) -> list[Float[np.ndarray, "_ c"]]:
-        """`noise_growth` of the real samples, by segment."""
         return [self.noise_growth[k][real] for k, real in enumerate(self.inside)]
 
     def part(self, rows: Sequence[int] | Int[np.ndarray, " r"]) -> SegmentTrajectories:
-        """Some of the segments, in the order of `rows`."""
         index, inside, dt, noise_growth = (
             x[np.asarray(rows)] for x in (self.index, self.inside, self.dt, self.noise_growth)
         )
@@ -146,12 +143,10 @@ class Prepared(NamedTuple):
 
     @property
     def first_inputs(self) -> dict[str, Float[Array, " w"]]:
-        """Inputs at the first sample of each segment."""
         return {name: x[:, 0] for name, x in self.drives.items()}
 
     @property
     def initial_states(self) -> Float[Array, "w s"]:
-        """Initial states of the filter, with states without a sensor filled in."""
         return jax.vmap(self.sensed.complete_start)(self.begin, self.first_inputs)
 
     def initial_covariance(self, states: Float[Array, "w s"], deviation: Float[Array, " s"]) -> Float[Array, "w s s"]:

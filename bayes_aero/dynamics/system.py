@@ -328,7 +328,6 @@ def linear_step(A: Float[Array, "m *n s s"], b: Float[Array, "m *n s d"], dx: Fl
 def _recurrence(
     A: Float[Array, "w n m s s"], b: Float[Array, "w n m s d"], begin: Float[Array, "w s d"], h: Float[Array, " w"]
 ) -> Float[Array, "w n s d"]:
-    """Sensitivities of the states from those of the motion at every stage."""
 
     def along(segment):
         A, b, begin, h = segment
@@ -356,7 +355,6 @@ class LinearSystem(System):
 
     @property
     def state_outputs(self) -> tuple[str, ...]:
-        """States without a row of their own among the outputs."""
         return tuple(name for name in self.named if name not in self.read)
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:

@@ -163,7 +163,6 @@ class Condition:
     unequal: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check that exactly one of sideslip, bank and turn rate is free."""
         if sum(x is None for x in (self.sideslip, self.bank, self.turn_rate)) != 1:
             raise InputError("steady flight has two of sideslip, bank and turn rate given; the third one follows")
 
@@ -394,7 +393,6 @@ Eigenmotions = list[tuple[complex, dict[str, float]]]
 
 
 def _share(motion: Mapping[str, float], names: Sequence[str]) -> float:
-    """Share of `names` in the squared motion."""
     return sum(motion.get(n, 0.0) ** 2 for n in names) / sum(x**2 for x in motion.values())
 
 

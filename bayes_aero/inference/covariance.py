@@ -151,7 +151,6 @@ class LinearFit:
 
     @cached_property
     def weights(self) -> Float[np.ndarray, "w n c k"]:
-        """Derivatives of the estimates by the outputs."""
         return (self.S / self.R[:, None]) @ self.D
 
     @cached_property
@@ -166,7 +165,6 @@ class LinearFit:
         return scale * np.linalg.pinv(scale * A, hermitian=True)
 
     def residual(self, noise: Float[np.ndarray, "... w n c"]) -> Float[np.ndarray, "... w n c"]:
-        """What the fit leaves of the noise."""
         theta = np.einsum("wnck,...wnc->...k", self.weights, noise, optimize=True)
         states = np.einsum("wnct,...wnc->...wt", self.own, noise / self.R, optimize=True)
         states = np.einsum("wst,...wt->...ws", self._state_covariance, states)
@@ -174,7 +172,6 @@ class LinearFit:
         return noise - taken - np.einsum("wncs,...ws->...wnc", self.own, states, optimize=True)
 
     def corrected(self, residual: Float[np.ndarray, "w n c"]) -> Float[np.ndarray, " k"]:
-        """Variances by `corrected_covariance`."""
         segment = np.nonzero(self.inside)[0]
         start = np.diff(segment, prepend=-1) != 0
         seen = (self.S[self.inside], self.R, residual[self.inside], segment, start)
@@ -205,14 +202,12 @@ def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float)
     L = np.fft.rfft(shapes[..., norm > 0.0] / norm[norm > 0.0], size, axis=1)
 
     def left(intensity: Float[np.ndarray, " j"]) -> Float[np.ndarray, "d w n c"]:
-        """Residuals of the fit to draws of the noise."""
         on = np.flatnonzero(intensity)
         white = rng.standard_normal((DRAWS, w, n, len(on))) * np.sqrt(intensity[on])
         spectrum = np.einsum("wfcj,dwfj->dwfc", L[..., on], np.fft.rfft(white, size, axis=2), optimize=True)
         return fit.residual(np.fft.irfft(spectrum, size, axis=2)[:, :, :n] * fit.inside[:, :, None])
 
     def squares(x: Float[np.ndarray, "d w n c"]) -> Float[np.ndarray, "d j"]:
-        """Sums of squares of the projections on each response at each time."""
         along = np.einsum("wfcj,dwfc->dwfj", L.conj(), np.fft.rfft(x, size, axis=2), optimize=True)
         return np.sum(np.fft.irfft(along, size, axis=2)[:, :, :n] ** 2, axis=(1, 2))
 

@@ -60,7 +60,6 @@ class BandStep(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """Minus the log likelihood but for a constant."""
         return 0.5 * len(self.left) * float(np.sum(np.log(self.R)))
 
 

@@ -20,7 +20,9 @@ POWELL_RATIO = 0.2  # least curvature along a step after an update, relative to 
 SINGULAR = 1e-14  # of the largest eigenvalue
 TINY = 1e-300
 
-Vector, Square, Limits = Float[np.ndarray, " j"], Float[np.ndarray, "j j"], Float[np.ndarray, "j 2"]
+Vector = Float[np.ndarray, " k"]
+Square = Float[np.ndarray, "k k"]
+Limits = Float[np.ndarray, "k 2"]
 
 
 class Evaluation(NamedTuple):
@@ -34,11 +36,11 @@ class Evaluation(NamedTuple):
 
 @runtime_checkable
 class Problem(Protocol):
-    """A cost to be minimised over j variables."""
+    """A cost to be minimised over k variables."""
 
     # `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
     @property
-    def moving(self) -> Bool[np.ndarray, " j"]: ...
+    def moving(self) -> Bool[np.ndarray, " k"]: ...
 
     @property
     def bounds(self) -> Limits: ...
@@ -114,7 +116,7 @@ def minimise(
     return point, current._replace(cost=cost if math.isfinite(current.cost) else current.cost), converged, steps
 
 
-def at_bounds(problem: Problem, point: Vector, gradient: Vector) -> Bool[np.ndarray, " j"]:
+def at_bounds(problem: Problem, point: Vector, gradient: Vector) -> Bool[np.ndarray, " k"]:
     """Variables at a bound that lower the cost beyond it."""
     lower, upper = problem.bounds.T
     return ((point <= lower) & (gradient > 0.0)) | ((point >= upper) & (gradient < 0.0))
@@ -134,7 +136,7 @@ def expected_gain(A: Square, g: Vector, step: Vector) -> float:
     return float(g @ step - 0.5 * step @ A @ step)
 
 
-def held_at_bounds(g: Vector, limits: Limits) -> Bool[np.ndarray, " j"]:
+def held_at_bounds(g: Vector, limits: Limits) -> Bool[np.ndarray, " k"]:
     """Variables at a bound that Newton's step would cross."""
     return (limits[:, 0] >= 0.0) & (g < 0.0) | (limits[:, 1] <= 0.0) & (g > 0.0)
 

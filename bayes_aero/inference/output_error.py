@@ -128,7 +128,6 @@ class NormalEquations:
         self._compiled = False
 
     def evaluate(self, theta: Float[np.ndarray, " k"], departure: Float[np.ndarray, "w s"]) -> Point:
-        """Cost and normal equations at parameters and initial states."""
         at, w = jnp.asarray(theta), len(departure)
 
         def one(number):
@@ -197,7 +196,6 @@ class EliminatedStates(NamedTuple):
     gain: float
 
     def step(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "w s"]:
-        """Optimal step of the initial states (w, s) for a step of theta (k,)."""
         return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
 
 
@@ -455,7 +453,6 @@ class _Trajectories:
         self.bounds, self.moving, self.step_limit = bounds, moving, np.full(len(bounds), np.inf)
 
     def cost(self, point: Float[np.ndarray, " k"]) -> float:
-        """The cost at a point."""
         if point is self.point.theta:
             return self.point.cost
         departure = self.point.departure + self.states.step(point - self.point.theta)
@@ -463,7 +460,6 @@ class _Trajectories:
         return self.tried.cost
 
     def evaluate(self, point: Float[np.ndarray, " k"]) -> Evaluation:
-        """Cost, gradient and information at the point that was tried last."""
         if point is not self.point.theta:
             self.point = self.tried
         if not math.isfinite(self.point.cost):
@@ -585,7 +581,6 @@ class SeparatedFlow:
         return cls(residual, separated, flown.inside)
 
     def growths(self, without: int | None = None) -> Float[np.ndarray, " c"]:
-        """b of every output, (c,), from all segments or from all but one."""
         used = self.inside.copy()
         if without is not None:
             used[without] = False
@@ -607,5 +602,4 @@ class SeparatedFlow:
         return np.array([growth(x) for x in self.residual[used].T])
 
     def noise_growth(self, without: int | None = None) -> Float[np.ndarray, "w n c"]:
-        """1 + b (1 - X), (w, n, c)."""
         return 1.0 + self.growths(without) * self.separated[:, :, None]

@@ -67,7 +67,6 @@ class Hierarchy(LogDensity):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The scatter of each parameter."""
         return self.scattering
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
@@ -75,7 +74,6 @@ class Hierarchy(LogDensity):
         = (inv(F F') + T)^-1 = F (I + F' T F)^-1 F', T = diag x^2, needs no inverse of F F' and does not cancel."""
 
         def whitened(factor: Array) -> tuple[Array, Array]:
-            """W with W' W = P, and half the log-determinant of I + F' T F."""
             scaled = x[:, None] * factor
             lower = jnp.linalg.cholesky(jnp.eye(self.size) + scaled.T @ scaled)
             return jax.scipy.linalg.solve_triangular(lower, factor.T, lower=True), jnp.sum(jnp.log(jnp.diag(lower)))

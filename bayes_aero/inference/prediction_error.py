@@ -86,7 +86,6 @@ class PredictionErrorResult:
 
     @property
     def sd(self) -> Float[np.ndarray, " k"]:
-        """Standard errors of the parameters."""
         return np.sqrt(np.diag(self.covariance))[: len(self.names)]
 
 
@@ -96,14 +95,12 @@ def _filter(flown, point, start_deviation, k, s):
 
 @eqx.filter_jit
 def _filter_segments(flown, point, start_deviation, k, s):
-    """Minus the log likelihood, and the filtered segments."""
     filtered = _filter(flown, point, start_deviation, k, s)
     return -jnp.sum(jax.vmap(log_likelihood)(filtered)), filtered
 
 
 @eqx.filter_jit
 def _evaluate(flown, point, start_deviation, k, s):
-    """Cost, gradient and expected information."""
 
     def at(point):
         filtered = _filter(flown, point, start_deviation, k, s)
@@ -209,7 +206,6 @@ class _Problem:
 
     @classmethod
     def of(cls, flown: SegmentTrajectories, disturbed: Bool[np.ndarray, " s"], priors: bool) -> _Problem:
-        """Estimate all parameters, the process noise of the `disturbed` states, and R."""
         free, k = flown.dynamics.free, len(flown.dynamics.free)
         deviation = np.zeros(len(disturbed)) if flown.fixed is not None else initial_state_sd(flown.dynamics)
         moving = np.array([*([True] * k), *disturbed, *([True] * len(flown.outputs))])
@@ -227,20 +223,16 @@ class _Problem:
 
     @property
     def k(self) -> int:
-        """Number of parameters."""
         return len(self.flown.dynamics.free)
 
     @property
     def s(self) -> int:
-        """Number of states."""
         return len(self.flown.dynamics.states)
 
     def prior_cost(self, point: Float[np.ndarray, " j"]) -> float:
-        """Minus the log of the priors, but for a constant."""
         return 0.5 * float(self.precision @ (point - self.mean) ** 2)
 
     def cost(self, point: Float[np.ndarray, " j"]) -> float:
-        """Minus the log posterior density."""
         return self.path(point)[0] + self.prior_cost(point)
 
     def path(self, point: Float[np.ndarray, " j"]) -> tuple[float, Filtered]:
@@ -364,7 +356,6 @@ class InnovationsDensity(LogDensity):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Of the dynamics, of the process noise, of the measurement noise."""
         dynamics = self.flown.dynamics
         motion = []
         for p in dynamics.free:
@@ -383,11 +374,9 @@ class InnovationsDensity(LogDensity):
 
     @property
     def disturbed(self) -> Int[np.ndarray, " f"]:
-        """Indices of the states with process noise."""
         return np.flatnonzero(np.array(self.process) > 0.0)
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
-        """Log likelihood of the innovations; minus infinity where the filter diverges."""
         k, c = len(self.flown.dynamics.free), len(self.flown.outputs)
         F = jnp.zeros(len(self.process)).at[self.disturbed].set(x[k:-c])
         point = NoisePoint(x[:k], F, x[-c:] ** 2)
@@ -395,7 +384,6 @@ class InnovationsDensity(LogDensity):
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
     def start(self, fit: PredictionErrorResult) -> Float[np.ndarray, " k"]:
-        """The fit as a point of this density, moved inside its bounds."""
         least = np.exp(-2.0 * SPREAD)  # times the median: a process noise of the fit may vanish, a lognormal does not
         F = np.maximum(fit.F, least * np.array(self.process))[self.disturbed]
         free = zip(fit.estimate, self.flown.dynamics.free, strict=True)

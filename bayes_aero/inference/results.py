@@ -276,12 +276,10 @@ class FrequencyFit:
 
     @property
     def crb(self) -> Float[np.ndarray, " k"]:
-        """Cramer-Rao standard errors."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def crb_corrected(self) -> Float[np.ndarray, " k"]:
-        """Standard errors with the variances of the lines."""
         return np.sqrt(np.diag(self.corrected))
 
 
@@ -455,7 +453,6 @@ class Interval:
 
     @classmethod
     def of(cls, draws: Float[np.ndarray, " m"]) -> Interval:
-        """That of draws."""
         low, median, high = np.quantile(draws, [0.025, 0.5, 0.975])
         return cls(float(median), float(low), float(high))
 
@@ -481,7 +478,6 @@ class Stall:
 
     @property
     def seen(self) -> bool:
-        """Whether the maximum lies inside the recorded angles for nearly every draw."""
         return self.at_edge < 0.025
 
 
@@ -496,7 +492,6 @@ class Histogram:
 
     @property
     def outside(self) -> int:
-        """Number of bars outside the band."""
         return int(np.sum((self.height < self.lower) | (self.height > self.upper)))
 
 

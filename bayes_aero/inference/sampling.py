@@ -81,7 +81,6 @@ class _Point:
 
     @property
     def usable(self) -> bool:
-        """Whether the density is finite here, and its gradient."""
         return bool(np.isfinite(self.value) and np.isfinite(self.slope).all())
 
     def factor(self, step: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -105,7 +104,6 @@ class _Point:
         return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(finite.all() and eigenvalues[0] > floor)
 
     def climb(self, factor: np.ndarray) -> _Point:
-        """Where L-BFGS leads on coordinates scaled by `factor`."""
 
         def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
             at = _Point(self.density, self.u + factor @ v)
@@ -213,7 +211,6 @@ AUTOCORRELATION_TIMES = 30  # length of a run from which the estimate of its aut
 
 @eqx.filter_jit
 def _log_density(density: LogDensity, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]):
-    """Log-density of whitened coordinates, one row a walker."""
     return jax.vmap(lambda row: density(u + factor @ row))(v)
 
 
@@ -258,7 +255,6 @@ class EnsembleLength(NamedTuple):
 
 
 def _sampler(target: _Target, walkers: int, proposal: _IndependenceProposal, seed: int) -> emcee.EnsembleSampler:
-    """A sampler that has not moved yet."""
     moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
     sampler = emcee.EnsembleSampler(walkers, target.density.size, target, moves=moves, vectorize=True)
     random = np.random.RandomState(seed % 2**32)  # emcee takes this generator only
@@ -469,7 +465,6 @@ class Chain(NamedTuple):
     averaged: tuple[Any, ...]
 
     def with_step(self, size: Array) -> Chain:
-        """Another step size."""
         return self._replace(kernel=self.kernel._replace(adapt_state=self.kernel.adapt_state._replace(step_size=size)))
 
 
@@ -579,7 +574,6 @@ class _Chains:
             self.chains = [chain.with_step(jnp.exp(chain.averaged[1])) for chain in self.chains]
 
     def draw(self, steps: int) -> None:
-        """Add `steps` draws to every chain."""
         for _ in range(steps // CALL_DRAWS):
             ends = self._advance(self.chains, adapting=False)
             self.chains = [chain for chain, _ in ends]

@@ -151,7 +151,6 @@ class _Work(NamedTuple):
     parent: int
 
     def train(self) -> tuple[GPFit | None, dict[str, Any]]:
-        """The fit, if it was sampled, and the process's part of a `Validation`."""
         exit_with(self.parent)
         train, test = self.fold.train_idx, self.fold.test_idx
         fit = fit_gp(
@@ -181,7 +180,6 @@ class _Work(NamedTuple):
 
 
 def _trained(work: Sequence[_Work], n: int, progress: Progress | None) -> dict[tuple[str, int, str], Any]:
-    """Results by kind of split, fold and coefficient, of fits to `n` samples at most."""
     jobs, trained = 1, {}
     if n >= WORTH_PROCESSES:  # by cores and memory: each takes eight n x n matrices and 1 GiB for the compiler
         each = 8 * 8 * n**2 + 2**30
@@ -227,7 +225,6 @@ class HoldoutSplit:
 
     @classmethod
     def of(cls, name: str, train: np.ndarray) -> HoldoutSplit:
-        """From a mask over the samples, True where a sample trains."""
         return cls(name, np.flatnonzero(train), np.flatnonzero(~train))
 
 

@@ -73,12 +73,10 @@ class Flights:
 
     @property
     def n(self) -> int:
-        """Number of samples."""
         return sum(self.lengths)
 
     @property
     def recorded(self) -> tuple[str, ...]:
-        """Names of the recorded channels and card sums, without what was added."""
         return tuple(name for name in self.channels if name not in MARKS)
 
     @property

@@ -85,7 +85,6 @@ def gust_spread(
 
 @eqx.filter_jit
 def _added(gusty: SegmentTrajectories, theta: Float[Array, " k"], white: Float[Array, "m s"]) -> Float[Array, "n c"]:
-    """A flight through gusts minus the same in calm air, in the units of the record."""
     prepared = prepare(gusty, theta)
     states = prepared.initial_states
     covariance = prepared.initial_covariance(states, jnp.zeros(states.shape[1]))[0]
@@ -133,19 +132,16 @@ class _Linear:
 
     @classmethod
     def of(cls, test: OpenTest, errors: Float[np.ndarray, "m k"]) -> _Linear:
-        """From the draws."""
         sound = np.all(np.isfinite(test.by_parameters), axis=1)
         slope = np.linalg.lstsq(errors[sound], test.by_parameters[sound], rcond=None)[0]
         total = np.nan_to_num(test.by_parameters + test.by_all_else, nan=np.inf)
         return cls(test, slope, int(np.argmax(np.quantile(np.abs(total), PASSES_FROM, axis=0))))
 
     def probability(self, errors: Float[np.ndarray, "m k"], shrunk: Float[np.ndarray, "m k"]) -> float:
-        """To stay inside, with `shrunk` errors of the parameters in place of `errors`."""
         flights = self.test.by_parameters + (shrunk - errors) @ self.slope + self.test.by_all_else
         return float(np.mean(np.all(np.abs(np.nan_to_num(flights, nan=np.inf)) <= self.test.tolerance, axis=1)))
 
     def deviation(self, covariance: Float[np.ndarray, "k k"]) -> float:
-        """By the parameters, where the flight leaves the band most easily, SI."""
         g = self.slope[:, self.worst]
         return float(np.sqrt(max(g @ covariance @ g, 0.0)))
 
@@ -212,12 +208,10 @@ def _decided(chance: float) -> bool:
 
 
 def _after(first: Float[np.ndarray, "k k"], information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
-    """Covariance with further information."""
     return first - first @ information @ np.linalg.solve(np.eye(len(first)) + first @ information, first)
 
 
 def _shrunk(errors: np.ndarray, first: np.ndarray, information: np.ndarray) -> Float[np.ndarray, "m k"]:
-    """Errors of the covariance that is left, made of the drawn ones."""
     return errors @ np.linalg.pinv(_root(first)) @ _root(_after(first, information))
 
 

@@ -109,7 +109,6 @@ def _block(dt: float) -> int:
 
 
 def _means(error: Float[np.ndarray, "n c"], dt: float) -> tuple[Float[np.ndarray, "t c"], Float[np.ndarray, "n c"]]:
-    """Means over blocks, and what single samples depart from the line between them."""
     block = _block(dt)
     blocks = max(1, len(error) // block)
     means = np.stack([part.mean(axis=0) for part in np.array_split(error[: blocks * block], blocks)])
@@ -120,7 +119,6 @@ def _means(error: Float[np.ndarray, "n c"], dt: float) -> tuple[Float[np.ndarray
 
 
 def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int]) -> float:
-    """Mean square of series of these lengths that begin at zero, of unit innovations."""
     A, P, variances = np.vstack([phi, np.eye(ORDER - 1, ORDER)]), np.zeros((ORDER, ORDER)), []
     for _ in range(max(lengths)):
         P = A @ P @ A.T
@@ -227,7 +225,6 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
     held = unknown.hold_out or HoldOut(fitted, own)
 
     def structure(error: Float[np.ndarray, "w n c"], explained: Float[np.ndarray, " c"]) -> Structure:
-        """What is left of errors: never less than of those of the fitted records."""
         shown, least = (np.mean(x[flown.inside] ** 2, axis=0) for x in (error, fitted))
         most = np.maximum(shown - np.maximum(least - own - by_gusts, 0.0), 0.0)
         taken = np.minimum(explained + by_gusts, most)

@@ -69,12 +69,10 @@ class GPFit:
 
     @property
     def map(self) -> dict[str, np.ndarray]:
-        """Most probable hyperparameters in physical units (density of their logarithms)."""
         return self.scaling.physical(self.optima[0].theta)
 
     @property
     def map_status(self) -> MapStatus:
-        """How the search for them ended."""
         return self.optima[0].status
 
     @property

@@ -92,7 +92,6 @@ class Scaling:
         return cls(mean, sd, rms)
 
     def inputs(self, X: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
-        """Physical inputs to scaled ones."""
         return (X - self.mean) / self.sd
 
     def physical(self, theta: Float[np.ndarray, "*draws p"]) -> dict[str, np.ndarray]:
@@ -229,16 +228,13 @@ class Priors:
 
     @property
     def proper(self) -> bool:
-        """Whether every hyperparameter has a normalisable prior."""
         parts = (self.constant, self.linear, self.signal, self.length, self.noise)
         return all(p.family != "flat" for p in parts)
 
     def per_parameter(self, d: int) -> list[HyperPrior]:
-        """The 2d + 3 priors in the order of theta."""
         return [self.constant, *[self.linear] * d, self.signal, *[self.length] * d, self.noise]
 
     def log_density(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
-        """log q(theta) of theta (2d + 3,), logs of the scaled hyperparameters."""
         d = (theta.shape[0] - 3) // 2
         return (
             self.constant.log_density(theta[0])
@@ -259,7 +255,6 @@ class Priors:
         return float(sum(v.sum() for v in values)), np.concatenate(slopes), np.concatenate(bends)
 
     def sample(self, key: Array, d: int, draws: int) -> Float[Array, "draws p"]:
-        """Draws of theta from the prior."""
         keys = jax.random.split(key, 2 * d + 3)
         parts = zip(keys, self.per_parameter(d), strict=True)
         return jnp.stack([prior.sample(k, (draws,)) for k, prior in parts], axis=1)
@@ -287,12 +282,10 @@ class ReducedData(NamedTuple):
 
     @classmethod
     def of(cls, x: Float[np.ndarray, "n d"], y: Float[np.ndarray, " n"]) -> "ReducedData":
-        """From scaled inputs and output."""
         return cls(np.ascontiguousarray(x), np.column_stack([np.ones(len(x)), x, y]))
 
     @property
     def n(self) -> int:
-        """Number of training samples."""
         return self.x.shape[0]
 
     @property
@@ -416,7 +409,6 @@ class Optimum(NamedTuple):
 
     @property
     def u(self) -> Float[np.ndarray, " u"]:
-        """(log l, log g) of the optimum."""
         return noise_to_signal(self.theta)
 
 
@@ -433,7 +425,6 @@ class ProfilePosterior:
         self.points: list[ExactPoint] = []
 
     def inner(self, u: Float[np.ndarray, " u"], stats: ReducedStats) -> Slopes:
-        """The log posterior at the optimal w for this u; stores it in `self.w`."""
         try:
             self.w, found = best_sizes(self.w, u, stats, self.n, self.priors)
         except np.linalg.LinAlgError:
@@ -441,7 +432,6 @@ class ProfilePosterior:
         return found
 
     def __call__(self, u: Float[np.ndarray, " u"]) -> tuple[float, Float[np.ndarray, " u"], Float[np.ndarray, " p"]]:
-        """Profile value at u, its gradient in u, and the theta that attains it."""
         stats, du = stats_and_gradient(u, self.data)
         self.points.append(ExactPoint(u, stats, du))
         if not stats.ok:

@@ -175,13 +175,11 @@ class Chains(NamedTuple):
 
     @classmethod
     def of(cls, theta: np.ndarray, density: np.ndarray, divergences: int) -> Chains:
-        """With R-hat and bulk ESS by ArviZ."""
         columns = np.moveaxis(theta, -1, 0)
         rhat, ess = (np.array([f(c) for c in columns]) for f in (array_stats.rhat, array_stats.ess))
         return cls(theta, density, divergences, rhat, ess)
 
     def followed_by(self, then: Chains) -> Chains:
-        """Two runs on one density, the second started where the first ended, as one."""
         theta, density = (np.concatenate([getattr(x, n) for x in (self, then)], 1) for n in ("theta", "log_density"))
         return Chains.of(theta, density, self.divergences + then.divergences)
 
@@ -316,7 +314,6 @@ class Weighted(NamedTuple):
 
     @property
     def status(self) -> SampleStatus:
-        """Verdict on the stand-in."""
         if self.failures:
             return SampleStatus.not_positive_definite
         if self.k_hat > K_LIMIT:
