@@ -123,8 +123,7 @@ MIN_LAG = 0.2  # chords: some hundredth of a second, still resolved by the fines
 
 
 class EffectSystem(InGusts):
-    """An aircraft with its model at given parameter values; lagged separation points are the last states. `altitude`:
-    whether it is a state. It must be one where density was not recorded, which is then the standard atmosphere's."""
+    """An aircraft with its model at given parameter values; without `altitude` among the states density is an input."""
 
     altitude: bool = eqx.field(static=True, default=True)
 
@@ -235,10 +234,7 @@ def held_states(axes: Iterable[Axis], more: Iterable[str] = ()) -> tuple[str, ..
 
 
 class RigidBody(EffectSystem):
-    """The aircraft in six degrees of freedom; without `heading` the heading starts at zero and is no output. The states
-    of attitude are Euler angles where one of them is `held`, or with `euler`, so that a filter can correct measured
-    states. They are singular at 90 deg of pitch. The outputs bank and heading are within half a turn of the inputs
-    `near_phi` and `near_psi`, where there are any."""
+    """The aircraft in six degrees of freedom; without `heading` the heading starts at zero and is no output."""
 
     held: tuple[str, ...] = eqx.field(static=True, default=())
     heading: bool = eqx.field(static=True, default=True)

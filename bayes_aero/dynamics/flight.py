@@ -173,8 +173,7 @@ class EffectDynamics(Dynamics):
 
 @dataclass(frozen=True)
 class AircraftDynamics(EffectDynamics):
-    """Motion of an aircraft under a model of effects. A model with the lateral axis has six degrees of freedom. A model
-    without it has three, and its lateral motion is prescribed as recorded."""
+    """An aircraft under a model of effects: six degrees of freedom with the lateral axis, three without."""
 
     altitude: bool = True  # whether it is a state
     further: tuple[str, ...] = ()  # outputs of `ON_REQUEST`
@@ -243,8 +242,7 @@ class AircraftDynamics(EffectDynamics):
         return RigidBody(self.model, dict(values), actual, self.altitude, self.prescribed, self.heading, self.euler)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
-        """Prescribed channels, with the derivatives that the effects read. Without `ay` also the rate of sideslip, if
-        p, r and phi are known: the lateral force follows from these."""
+        """Prescribed channels, derivatives; without `ay` the rate of sideslip, which gives the lateral force."""
         held, read = (self.prescribed, ENGINES) if self.rigid else ((*LATERAL, "psi"), (*LATERAL, "thrust"))
         return recorded_drives(self.model.axes, held, (*self.inputs, *read), channels, flights)
 
@@ -259,8 +257,7 @@ class AircraftDynamics(EffectDynamics):
 def aircraft_dynamics(
     model: Model, flights: Flights, outputs: Sequence[str] = (), held: Sequence[str] | None = None
 ) -> AircraftDynamics:
-    """The dynamics of a model for the recorded channels of these flights, with `outputs` of `ON_REQUEST`. States that
-    are `held` (default: by the card) are prescribed as recorded. Raises `InputError` for missing channels."""
+    """The dynamics of a model for these flights, with `outputs` of `ON_REQUEST`; `held` states: default, by the card."""
     held = flights.held if held is None else tuple(held)
     prescribed = held_states(model.axes, held)
     rigid = bool(held) or Axis.LATERAL in model.axes
@@ -515,8 +512,7 @@ MARKS = {"dt", "start", "first", "last", "elapsed"}
 
 
 def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
-    """The flights, their heading without jumps, and their flight path with the possible errors of their sensors.
-    Effects of the card keep the card's parameters: `vane_position` fixed stays fixed."""
+    """The flights, their heading without jumps, and their flight path with the possible errors of their sensors."""
     states = path_states(flights)
     recorded = {*flights.recorded, *MARKS}
     shown = [name for name in (*COMMON, *OWN) if SHOWN_BY.get(name, states[0]) in states]

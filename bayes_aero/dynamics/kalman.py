@@ -71,10 +71,7 @@ def discrete_noise_slopes(
 
 
 class FilterInputs(NamedTuple):
-    """What a filter reads of one segment; under `filter_inputs` of w segments, w in front of every array. The state
-    before the first sample and its covariance, inputs at each sample and at the next one (n,), corrected outputs (NaN
-    where missing), the variances of their noise, the derivatives of the corrected outputs by the recorded ones, and the
-    sample time, s."""
+    """What a filter reads of one segment: begin, inputs now and a sample later, outputs (NaN: missing), noise."""
 
     begin: Float[Array, "*w s"]
     covariance: Float[Array, "*w s s"]
@@ -175,9 +172,7 @@ def correct(
 def gains(
     P: Float[Array, "s s"], C: Float[Array, "c s"], variance: Float[Array, " c"], used: Bool[Array, " c"]
 ) -> tuple[Float[Array, "s c"], Float[Array, "c c"]]:
-    """Gain of `correct`, and the matrix that whitens measured minus predicted: what it makes of each output alone.
-    Factorising the matrices of all samples at once calls LAPACK, which shares its threads with other calls: two of them
-    at a time (jaxlib 0.10) wait for each other for ever."""
+    """Gain of `correct`, and the matrix that whitens measured minus predicted: what it makes of each output alone."""
     gain, _, whitening, _, _ = correct(P, C, jnp.eye(len(C)), variance, used)
     return gain, whitening
 
@@ -285,9 +280,7 @@ def _backward(slope: NoisePoint, cotangent: Array, *_: Any):
 def innovations_density(
     flown: SegmentTrajectories, point: NoisePoint, start_deviation: Float[Array, " s"]
 ) -> Float[Array, ""]:
-    """Log likelihood of all segments: the sum of `log_likelihood` over `innovations.filter_segments`. `flown` without
-    names (`nameless`), so that records of any name share a compiled program; `start_deviation` (s,) of the measured
-    initial state, SI."""
+    """Log likelihood of `innovations.filter_segments`; `flown` is `nameless`, to share compiled programs."""
     return _density(point, flown, start_deviation)
 
 

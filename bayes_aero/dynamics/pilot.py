@@ -300,8 +300,7 @@ class PilotedBody(RigidBody):
 def fly_rigid(
     model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, trim: RigidTrim, dt: float
 ) -> dict[str, Float[np.ndarray, " n"]]:
-    """All signals of a flight from `trim` by the names of recorded channels, the coefficients and X; (n,), SI.
-    Commanded bank gives a coordinated turn."""
+    """All signals of a flight from `trim`, as `fly` has them. Commanded bank gives a coordinated turn."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     lag = float(model.lag(values))
     if lag == 0.0:  # a separation point without lag is no state
@@ -408,8 +407,7 @@ def rounded(signal: Series, seconds: float, dt: float) -> Series:
 def commands(
     time: Series, trim: Trim, stall: float, bank_per_sideslip: float, amplitude: float = 1.0
 ) -> dict[str, Pilot]:
-    """The standard inputs by name, from `trim`. `stall` (rad): rise of alpha of the slow sweep above trim;
-    `bank_per_sideslip`: bank that keeps the heading. `amplitude` multiplies all inputs."""
+    """The standard inputs by name: `stall` (rad) is the rise of alpha of the slow sweep above trim."""
     rest, dt, deg = np.zeros_like(time), float(time[1] - time[0]), np.pi / 180.0
 
     def held(parts: list[Pulse], smooth: float) -> Series:
@@ -459,9 +457,7 @@ def standard_pilots(
     altitude: float,
     amplitude: float = 1.0,
 ) -> tuple[dict[str, Pilot], FlightState | RigidTrim]:
-    """The pilot of each manoeuvre with this model, and the level flight in which all start. `airspeed` in m/s,
-    `altitude` in m. A model of both axes flies in six degrees of freedom, and the manoeuvres of `LATERAL` as well.
-    Raises `InputError` where the model cannot be trimmed."""
+    """The pilot of each manoeuvre, and the level flight in which all start; `InputError` where there is no trim."""
     start: FlightState | RigidTrim
     if rigid := Axis.LATERAL in model.axes:
         start = rigid_trim(model, values, aircraft, Condition(airspeed, altitude))
@@ -490,8 +486,7 @@ def fly_standard(
     amplitude: float = 1.0,
     envelope: Envelope = ANYWHERE,
 ) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, float], dict[str, str]]:
-    """Fly all of `standard_pilots`, sampled every `dt` s: by name the channels without noise (and `X`), how many
-    seconds of them are recorded, and why a manoeuvre is refused, as where it leaves the `envelope`."""
+    """Fly all of `standard_pilots`: channels without noise, and `X`; recorded seconds; why others are refused."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
@@ -584,8 +579,7 @@ LATERAL_EXCITED_CHANNELS = {  # channels that each manoeuvre excites, in additio
 
 
 def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float = 1.0) -> dict[str, Pilot]:
-    """Doublets of aileron and rudder, multisines of these and the elevator, a stall in banked flight, unequal
-    engines."""
+    """Doublets of aileron and rudder, multisines, a stall in banked flight, unequal engines."""
     dt = float(time[1] - time[0])
 
     def doublets(size: float) -> Series:

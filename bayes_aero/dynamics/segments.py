@@ -88,9 +88,7 @@ def segments(
     fixed: Mapping[str, float | Sequence[float]] | None = None,
     held: bool = False,
 ) -> SegmentTrajectories:
-    """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole manoeuvres). `outputs` are
-    compared with the simulation; default: all recorded ones that the dynamics make. `fixed`, `held`: see
-    `SegmentTrajectories`."""
+    """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole ones), with these `outputs`."""
     recorded = tuple(name for name in dynamics.outputs if name in flights.channels)
     chosen = recorded if outputs is None else tuple(outputs)
     unknown = [name for name in chosen if name not in recorded]
@@ -161,8 +159,7 @@ class Prepared(NamedTuple):
 
 
 def _measured_start(flown: SegmentTrajectories, channels: Mapping[str, Array]) -> Float[Array, "w b"]:
-    """Initial states: values at the first sample of a straight line through the first half second; zero where not
-    recorded. Fixed ones are the given ones, and the first sample where none is given."""
+    """Values at the first sample of a straight line through the first half second; fixed ones as given; else zero."""
     count = 1 if flown.fixed is not None else flown.begin
     rows, given = flown.index[:, :count], dict(flown.fixed or ())
     t = np.arange(count) - (count - 1) / 2.0

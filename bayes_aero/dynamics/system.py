@@ -197,8 +197,7 @@ def motion(system: Any, x: Array, u: Channels) -> tuple[Array, dict[str, Array]]
 
 
 def stage_table(substeps: int) -> tuple[Array, Array, Array, Array]:
-    """For all stages (4 `substeps`) of a sample: share of the sample time, step to the next stage, weight, and whether
-    a Runge-Kutta step ends there."""
+    """Of all stages of a sample: share of the sample time, step to the next one, weight, whether a step ends there."""
     shares = jnp.array([(number + node) / substeps for number in range(substeps) for node in NODES])
     ahead, weights, last = (jnp.tile(jnp.array(row), substeps) for row in (AHEAD, WEIGHTS, (False, False, False, True)))
     return shares, ahead, weights, last

@@ -323,8 +323,7 @@ class MotionMode:
 
 @dataclass(frozen=True)
 class Steady:
-    """Straight level flight about which motion is linearised: airspeed m/s, altitude m, alpha rad. Alpha is used for
-    cards without the longitudinal axis, which have no trim."""
+    """Straight level flight, SI; alpha is for cards without the longitudinal axis, which have no trim."""
 
     airspeed: float
     altitude: float
@@ -332,8 +331,7 @@ class Steady:
 
 
 def modes(dynamics: Dynamics, values: Mapping[str, Any], aircraft: Aircraft, steady: Steady) -> tuple[MotionMode, ...]:
-    """Modes of motion about steady flight with fixed controls, longitudinal ones first, the faster ones first.
-    `aircraft` is that of the card; `steady` has no effect on a linear system."""
+    """Modes of motion about steady flight with fixed controls, longitudinal ones first, the faster ones first."""
     if isinstance(dynamics, LinearDynamics):
         system, states = dynamics.system(values, aircraft), dynamics.states
         u = {name: jnp.zeros(()) for name in (*dynamics.inputs, *dynamics.rows.by_manoeuvre)}

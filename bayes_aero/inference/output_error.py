@@ -445,8 +445,7 @@ def one_by_one(
 
 
 class _Trajectories:
-    """Minus the log posterior density of the parameters as a `Problem`, with initial states at their optimum; the last
-    point is kept."""
+    """Minus the log posterior density as a `Problem`, initial states at their optimum; the last point is kept."""
 
     def __init__(self, equations: NormalEquations, point: Point, bounds: Float[np.ndarray, "k 2"], moving: np.ndarray):
         self.equations, self.point, self.tried = equations, point, point

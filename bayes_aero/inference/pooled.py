@@ -298,8 +298,7 @@ def _each(
 def _information(
     model: Model, observations: Observations, name: str, fit: MleResult
 ) -> Float[np.ndarray, "k k"] | None:
-    """Information from the covariance corrected for coloured residuals; of parameters at a bound there is none. None
-    where that covariance is singular."""
+    """Information by the covariance corrected for coloured residuals, none at a bound; None where singular."""
     # Where the information matrix is singular: of the combinations of parameters that the record determines.
     inside = np.array([name not in fit.at_bound for name in fit.names])
     kept = np.ix_(inside, inside)

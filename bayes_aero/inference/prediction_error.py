@@ -156,9 +156,7 @@ def fit_prediction_error(
     priors: bool = True,
     exact: bool = True,
 ) -> PredictionErrorResult:
-    """Fit all segments together. The first steps hold the filter's gains while the parameters of the motion vary; the
-    last are exact, or left out (`exact` False: consistent estimates). `F` (s,) and `R` (c,) are the noise to start
-    from, SI."""
+    """Fit all segments together from the noise `F` (s,) and `R` (c,), SI; consistent estimates where not `exact`."""
     F = np.asarray(F, float)
     problem = _Problem.of(flown.nameless, F > 0.0, priors)
     free = flown.dynamics.free
@@ -415,8 +413,7 @@ def sample_innovations(
     engines: Sequence[str] = ENGINES,
     progress: Progress | None = None,
 ) -> dict[str, Posterior]:
-    """The posterior by emcee and by NUTS, or one of these `engines`, from the `fit` (with priors) of `fit_disturbed`,
-    in coordinates scaled by the curvature at the mode."""
+    """The posterior by these `engines`, from the `fit` (with priors) of `fit_disturbed`."""
     density = innovations_posterior(flown, R)
     mode = find_mode(density, density.start(fit))
     asked: Any = {"seed": seed, "progress": progress, "predictive": False}

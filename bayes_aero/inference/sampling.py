@@ -246,8 +246,7 @@ class _Target:
 
 
 class EnsembleLength(NamedTuple):
-    """Number of independent ensembles, largest number of steps of each, and walkers of each; default: two for each
-    parameter and four more. On a graphics processor many walkers cost hardly more than one."""
+    """Independent ensembles, most steps of each, walkers (default: two for each parameter and four more)."""
 
     ensembles: int = 4
     max_steps: int = 4000
@@ -299,8 +298,7 @@ class _Ensembles:
         return slowest if np.isfinite(slowest) else np.inf
 
     def draws(self, thin: int) -> tuple[Float[np.ndarray, "chain draw k"], dict[str, np.ndarray]]:
-        """One chain per ensemble, its walkers end to end, so that R-hat compares ensembles and ESS accounts for the
-        autocorrelation of each walker; log-density and walker of every draw."""
+        """One chain an ensemble, walkers end to end, so that R-hat compares ensembles; log-density and walker."""
         chains = np.stack([np.asarray(s.get_chain(thin=thin)) for s in self.samplers])  # ensemble draw walker k
         lp = np.stack([np.asarray(s.get_log_prob(thin=thin)).T for s in self.samplers])
         ensembles, walkers, draws = lp.shape
@@ -320,8 +318,7 @@ def sample_ensemble(
     progress: Progress | None = None,
     predictive: bool = True,
 ) -> Posterior:
-    """Sample until every parameter reaches the targets of ESS and R-hat and the run spans many autocorrelation times.
-    Moves: independence proposals from a Student t fitted to the burn-in, mixed with differential evolution."""
+    """Sample until ESS and R-hat reach their targets and the run spans many autocorrelation times."""
     began = time.perf_counter()
     ensembles = _Ensembles(density, mode, seed, length)
     while True:

@@ -290,8 +290,7 @@ SHOWN = 4
 
 
 def filter_mismatch_notes(records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult) -> tuple[str, ...]:
-    """A sentence where estimates of `mle`, the fit to coefficients formed as published, move by more than their
-    intervals allow for once all signals are filtered alike; none where they do not, or where either fit has failed."""
+    """A sentence where estimates from published coefficients move once all signals are filtered alike."""
     sound = (MleStatus.CONVERGED, MleStatus.AT_BOUND)
     if mle.status not in sound:
         return ()
@@ -378,8 +377,7 @@ PRIOR_SENSITIVITY_DRAWS = 4000
 
 
 class Dependence(Enum):
-    """Whether the data or the prior decide a parameter, by its two sensitivities; the value is the text for the
-    user."""
+    """Whether the data or the prior decide a parameter; the value is the text for the user."""
 
     DATA = "the data decide"
     BOTH = "prior and data conflict, or the prior is informative compared with the data"
@@ -437,8 +435,7 @@ def probability_transform(found: Filtered) -> Float[np.ndarray, "w n c"]:
 
 
 def one_step(found: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Sequence[str]) -> OneStep:
-    """One-step predictions of w filtered segments, from errors (w, n, c); outputs with less than two innovations are
-    left out."""
+    """One-step predictions of w filtered segments, from errors (w, n, c), of outputs with two innovations or more."""
     z, u, correlation = _standardised(found), probability_transform(found), neighbour_correlation(found)
     columns = [c for c in range(len(outputs)) if np.isfinite(z[..., c]).sum() > 1]
     tests = len(LEVELS) * (len(columns) + (len(columns) > 1))
@@ -503,9 +500,7 @@ def _assess(
 
 
 def _inflation(centred: Float[np.ndarray, "w n c"], used: Bool[np.ndarray, "w n c"]) -> float | None:
-    """Variance inflation of the sum of `centred`, zero where not measured, by all correlation, >= 1; None if it is
-    zero.
-    """
+    """Variance inflation of the sum of `centred` (zero: not measured) by all correlation, >= 1; None if it is zero."""
     white = float(np.sum(centred**2))
     if white <= TINY:
         return None

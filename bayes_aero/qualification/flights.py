@@ -36,8 +36,7 @@ from bayes_aero.residuals.equation_error import EquationError
 def errors(
     flown: SegmentTrajectories, theta: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "w n c"], Float[np.ndarray, "w n"], Bool[np.ndarray, " w"]]:
-    """Recorded minus simulated from the measured initial states, SI; the separated share of the flow (0 without a
-    separation point); whether each manoeuvre stays inside the envelope."""
+    """Recorded minus simulated, SI; separated share of the flow; whether each manoeuvre stays inside the envelope."""
     still = jnp.zeros((len(flown.index), len(flown.dynamics.start)))
     simulated = trajectories(flown, jnp.asarray(theta), still)
     X = simulated.trajectory.outputs.get("X")
@@ -66,8 +65,7 @@ def spread(
 def gust_spread(
     alone: SegmentTrajectories, draws: Float[np.ndarray, "m k"], gusts: Mapping[str, float], rng: np.random.Generator
 ) -> Float[np.ndarray, "m n c"]:
-    """What gusts add to flights of one manoeuvre with drawn parameters, SI; calm air where `gusts` has no value. A
-    flight begins in gusts of their own distribution, with the measured flow at vane and pitot tube."""
+    """What gusts add to flights with drawn parameters, SI, begun in gusts of their own distribution; else calm air."""
     gusty = disturbed(alone)
     free = gusty.dynamics.free
     calm = {p.name: p.start for p in free if p.name in gusty.dynamics.disturbance_parameters}
@@ -155,8 +153,7 @@ def further_flights(
     values: dict[str, float],
     envelope: Envelope,
 ) -> Further:
-    """Test points for the undecided tolerances, inside the envelope. `errors` of the drawn parameters `names`, by which
-    `tests` were flown; `flights`: the fitted records; `values`: the estimates of the model's parameters, SI."""
+    """Test points for the undecided tolerances, inside the envelope; `errors` of the drawn parameters `names`."""
     scale = np.std(errors, axis=0)
     moving = np.flatnonzero(scale > 0.0)
     names, errors = [names[int(k)] for k in moving], errors[:, moving] / scale[moving]
@@ -292,8 +289,7 @@ def alone_fits(fit: OutputErrorResult, without: Sequence[OutputErrorResult], inf
 def next_parameters(
     alone: Sequence[OutputErrorResult], inflation: float, count: int, seed: int, progress: Progress | None = None
 ) -> Float[np.ndarray, "m k"] | None:
-    """Draws of the parameters of a flight not yet flown, by partial pooling; None with fewer than two usable fits.
-    Every manoeuvre enters by the normal approximation of its likelihood, with coloured residuals counted."""
+    """Draws of the parameters of a flight not yet flown, by partial pooling; None with fewer than two usable fits."""
     usable = [fit for fit in alone if fit.status in USABLE]
     if len(usable) < 2:
         return None
@@ -310,8 +306,7 @@ def next_parameters(
 
 
 def _of_data(fit: OutputErrorResult, inflation: float) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
-    """The maximum of the likelihood and its information in units of the priors; none of parameters at a bound. At the
-    maximum of the density the gradient of the likelihood is minus that of the prior."""
+    """The maximum of the likelihood and its information in units of the priors; none of parameters at a bound."""
     parameters = fit.parameters
     unit = np.array([float(prior_unit(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
     mean = np.array([p.prior.normal[0] for p in parameters])

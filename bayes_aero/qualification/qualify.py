@@ -56,9 +56,7 @@ class Structure:
         dt: Float[np.ndarray, " w"],
         explained: Float[np.ndarray, " c"],
     ) -> Structure:
-        """Of errors (recorded minus simulated, SI) of w manoeuvres, n samples each where `inside`. `separated`: the
-        separated share of the flow; `dt`: sample times, s; `explained`: mean squares that something else explains
-        (parameters, gusts), SI squared."""
+        """Of errors (recorded minus simulated, SI), less the mean squares that parameters and gusts explain."""
         growth = SeparatedFlow(errors, separated, inside).growths() if np.ptp(separated[inside]) > 0.0 else 0.0
         growth = growth + np.zeros(errors.shape[2])
         sized = errors / (1.0 + growth * separated[:, :, None])
@@ -153,8 +151,7 @@ class Uncertain:
 
 @dataclass(frozen=True)
 class QualifiedFlights:
-    """Tests and strips; whether the next flight has the scatter of the parameters, None without a next flight.
-    `undecided`: tests that the parameters' posterior leaves open."""
+    """`scattered`: whether the next flight has the scatter of the parameters; `undecided`: left open by them."""
 
     tests: tuple[Test, ...]
     strips: tuple[Strip, ...]
@@ -182,9 +179,7 @@ def qualify(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> QualifiedFlights:
-    """Every test of every manoeuvre, and its time histories. `flown`: the fitted manoeuvres, with the outputs that have
-    a band; `tests`: others; `bands`: half the width of the tolerance by output, SI; `progress` is called with a stage
-    and the share of it that is done."""
+    """Every test of every manoeuvre, fitted (`flown`) or not (`tests`); `bands`: half widths by output, SI."""
     cases = _cases(flown, tests, unknown, seed)
     judged: list[Test] = []
     strips: list[Strip] = []

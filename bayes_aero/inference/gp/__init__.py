@@ -82,8 +82,7 @@ class GPFit:
         return weighted.k_hat if weighted else float("nan")
 
     def predict(self, X_new: Matrix, *, draws: int = 24) -> Prediction:
-        """Predictive distribution at X_new (k, d), physical units: over `draws` of the posterior, or at the MAP
-        alone."""
+        """Predictive distribution at X_new (k, d), physical units, over `draws` of the posterior or at the MAP."""
         X_new = np.asarray(X_new, float)
         if X_new.ndim != 2 or X_new.shape[1] != len(self.input_names) or not np.all(np.isfinite(X_new)):
             raise InputError(

@@ -631,6 +631,16 @@ def slopes(
     return Slopes(float(value), by_theta, first, second, -0.5, by_gram)
 
 
+def log_posterior(theta: Float[np.ndarray, " p"], data: ReducedData, priors: Priors) -> tuple[float, ReducedStats]:
+    """log q(theta) + log p(y | theta) at all n points, NaN where K is not positive definite; and the statistics."""
+    u = noise_to_signal(theta)
+    stats = reduced_stats(u, data)
+    try:
+        return slopes(theta[: u.size + 1], u, stats, float(data.n), priors).value if stats.ok else math.nan, stats
+    except np.linalg.LinAlgError:  # sds too far apart for double precision
+        return math.nan, stats
+
+
 def best_sizes(
     w: Float[np.ndarray, " k"], u: Float[np.ndarray, " u"], stats: ReducedStats, n: float, priors: Priors
 ) -> tuple[Float[np.ndarray, " k"], Slopes]:

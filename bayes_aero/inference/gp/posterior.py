@@ -32,8 +32,9 @@ from bayes_aero.inference.gp.kernel import (
     curvature,
     hyper_names,
     length_slice,
+    log_posterior,
     noise_to_signal,
-    reduced_stats,
+    slopes,
     stats_and_gradient,
 )
 
@@ -346,32 +347,30 @@ def reweight(
 ) -> Weighted:
     """Evaluate every theta exactly (one factorisation each) and weigh it."""
     flat = theta.reshape(-1, theta.shape[-1])
-    exact: list[ExactDensity] = []
+    exact: list[tuple[float, ReducedStats]] = []
     for i, t in enumerate(flat):
-        exact.append(log_density(t, data, priors, gradient=False))
+        exact.append(log_posterior(t, data, priors))
         tell(f"exact evaluation {i + 1} of {len(flat)}")
-    value = np.array([e.value for e in exact]).reshape(stand_in.shape)
-    failures = sum(not e.ok for e in exact)
+    value = np.array([x for x, _ in exact]).reshape(stand_in.shape)
+    failures = int(np.sum(~np.isfinite(value)))
     if failures:
         nothing = np.full(value.shape, np.nan)
         return Weighted(theta, value, stand_in, nothing, np.inf, 0.0, failures)
     log_weight, k_hat = pareto_smooth(value - stand_in)
     ess = float(np.exp(-np.asarray(logsumexp(2.0 * log_weight))))
-    return Weighted(theta, value, stand_in, log_weight, k_hat, ess, 0, tuple(e.stats for e in exact))
+    return Weighted(theta, value, stand_in, log_weight, k_hat, ess, 0, tuple(stats for _, stats in exact))
 
 
-# --- Log marginal likelihood and log posterior of the hyperparameters, exactly, from the reduced statistics.
-# log p(y | theta) = -1/2 y'K^-1 y - 1/2 log|K| - n/2 log 2 pi, and the MAP objective adds log q(theta). (Eq. 7 of
-# the seed paper prints a logarithm around the whole sum by mistake.) The textbook gradient 1/2 tr[(a a' - K^-1)
-# dK/dtheta], a = K^-1 y, is assembled in two steps: the n x n step has hand-written derivatives (`emulator`,
-# through LAPACK), the (d + 2) x (d + 2) step is small enough for autodiff. Nothing differentiates through an n x n
-# Cholesky.
+# --- Log posterior of the hyperparameters from the reduced statistics, as compiled code; `kernel.slopes` has it with
+# derivatives. log p(y | theta) = -1/2 y'K^-1 y - 1/2 log|K| - n/2 log 2 pi, and the MAP objective adds log q(theta).
+# (Eq. 7 of the seed paper prints a logarithm around the whole sum by mistake.) Nothing differentiates through an n x n
+# Cholesky: the n x n step has hand-written derivatives, through LAPACK.
 
 
-def small_likelihood(
-    theta: Float[Array, " p"], logdet: Float[Array, ""], gram: Float[Array, "m m"], n
+def small_posterior(
+    theta: Float[Array, " p"], logdet: Float[Array, ""], gram: Float[Array, "m m"], n, priors: Priors
 ) -> Float[Array, ""]:
-    """log p(y | theta) given the statistics at theta's own (l, g); exact, O(d^3)."""
+    """log q(theta) + log p(y | theta) given the statistics at theta's own (l, g); exact, O(d^3)."""
     d = (theta.shape[0] - 3) // 2
     log_sf = theta[d + 1]
     root = jnp.exp(theta[: d + 1] - log_sf)  # D^1/2
@@ -380,50 +379,7 @@ def small_likelihood(
     t = jax.scipy.linalg.solve_triangular(lower, root * gram[: d + 1, d + 1], lower=True)
     quadratic = (gram[d + 1, d + 1] - t @ t) * jnp.exp(-2.0 * log_sf)
     log_k = n * 2.0 * log_sf + logdet + 2.0 * jnp.sum(jnp.log(jnp.diagonal(lower)))
-    return -0.5 * (quadratic + log_k + n * jnp.log(2.0 * jnp.pi))
-
-
-def small_posterior(theta, logdet, gram, n, priors: Priors) -> Float[Array, ""]:
-    """log q(theta) + log p(y | theta), given the statistics."""
-    return small_likelihood(theta, logdet, gram, n) + priors.log_density(theta)
-
-
-@lru_cache(maxsize=16)
-def compiled_posterior(priors: Priors):
-    """`small_posterior` and its derivatives by theta, logdet and gram, compiled once for all n."""
-    return jax.jit(jax.value_and_grad(partial(small_posterior, priors=priors), argnums=(0, 1, 2)))
-
-
-class ExactDensity(NamedTuple):
-    """Log posterior density, its gradient (p,), and whether K was positive definite (else both are NaN)."""
-
-    value: float
-    gradient: Float[np.ndarray, " p"]
-    ok: bool
-    stats: ReducedStats
-
-
-def log_density(
-    theta: Float[np.ndarray, " p"], data: ReducedData, priors: Priors, *, gradient: bool = True
-) -> ExactDensity:
-    """log q(theta) + log p(y | theta) at all n points, with the analytic gradient in theta (log, scaled units)."""
-    d, u = data.x.shape[1], noise_to_signal(theta)
-    if gradient:
-        stats, du = stats_and_gradient(u, data)
-    else:
-        stats, du = reduced_stats(u, data), None
-    if not stats.ok:
-        return ExactDensity(np.nan, np.full(theta.size, np.nan), False, stats)
-    value, (by_theta, by_logdet, by_gram) = compiled_posterior(priors)(theta, stats.logdet, stats.gram, data.n)
-    total = np.array(by_theta)
-    if du is None:
-        total[:] = np.nan
-    else:
-        by_u = float(by_logdet) * du.logdet + np.tensordot(du.gram, np.asarray(by_gram), 2)
-        total[length_slice(d)] += by_u[:d]
-        total[d + 1] -= 2.0 * by_u[d]
-        total[-1] += 2.0 * by_u[d]
-    return ExactDensity(float(value), total, bool(np.isfinite(value)), stats)
+    return -0.5 * (quadratic + log_k + n * jnp.log(2.0 * jnp.pi)) + priors.log_density(theta)
 
 
 # --- The stand-in is trained until draws of it can be weighted.
@@ -487,9 +443,9 @@ def sample_posterior(
         us = [noise_to_signal(t) for t in flat[at]]
         pilots, error = [ExactPoint(u, *stats_and_gradient(u, data)) for u in us], np.inf
         if all(p.stats.ok for p in pilots):
-            density, pairs = compiled_posterior(priors), zip(flat[at], pilots, strict=True)
-            exact = [density(t, p.stats.logdet, p.stats.gram, float(data.n))[0] for t, p in pairs]
-            error = float(np.std(np.array(exact, float) - chains.log_density.ravel()[at] / TEMPER))
+            n, pairs = float(data.n), zip(flat[at], pilots, strict=True)
+            exact = [slopes(t[: p.u.size + 1], p.u, p.stats, n, priors).value for t, p in pairs]
+            error = float(np.std(np.array(exact) - chains.log_density.ravel()[at] / TEMPER))
         points += pilots
         tell(f"round {number}: the stand-in errs by {error:.2g} in log density")
         last = number == budget.rounds
