@@ -257,7 +257,7 @@ class AircraftDynamics(EffectDynamics):
 def aircraft_dynamics(
     model: Model, flights: Flights, outputs: Sequence[str] = (), held: Sequence[str] | None = None
 ) -> AircraftDynamics:
-    """The dynamics of a model for these flights, with `outputs` of `ON_REQUEST`; `held` states: default, by the card."""
+    """The dynamics of a model for these flights, with `outputs` of `ON_REQUEST`; `held`: default, by the card."""
     held = flights.held if held is None else tuple(held)
     prescribed = held_states(model.axes, held)
     rigid = bool(held) or Axis.LATERAL in model.axes

@@ -282,14 +282,6 @@ def test_intervals_cover_the_truth(rho, flights):
     assert np.mean(inside["crb"]) < 0.6 or not rho
 
 
-def test_corrected_deviations_are_nearly_the_plain_ones_under_white_noise():
-    """On average: wider by what the estimated autocovariance is uncertain alone."""
-    fits = [fit_output_error(coloured_flown([8, seed], 0.0), held={"az0": 0.0}) for seed in range(12)]
-    own = [k for k, name in enumerate(fits[0].names) if name != "az0"]
-    ratio = np.mean([(found.sd_corrected / np.where(found.sd > 0, found.sd, 1.0))[own] for found in fits], axis=0)
-    assert np.all((ratio > 0.95) & (ratio < 1.15))
-
-
 def test_what_one_stretch_alone_tells_has_a_corrected_deviation_of_its_size():
     """A constant error of alpha shows, beside Z0 and M0, only while the motion from a known state dies away."""
     flown = replace(coloured_flown(12, 0.9), fixed=(("alpha", 0.04), ("q", 0.01)))

@@ -121,13 +121,6 @@ def test_bounds_cover_the_truth_under_white_noise(thinned, model):
     assert np.mean(np.abs(z) < 1.96) == pytest.approx(0.95, abs=0.02)
 
 
-def test_corrected_bound_is_the_bound_itself_under_white_noise(thinned, model):
-    """The correlogram is noisy on one record; over ten the median ratio is one, less a few per cent of bias."""
-    start = np.array([TRUTH[n] for n in model.names])
-    fits = [fit_mle(model, simulated(thinned, model, s), start=start, extra_starts=0) for s in range(10)]
-    assert np.mean([np.median(r.crb_corrected / r.crb) for r in fits]) == pytest.approx(1.0, abs=0.12)
-
-
 def test_stalls_that_were_not_flown_and_parameters_at_zero_are_said(clean, model):
     calm = clean.subset(np.flatnonzero(np.asarray(clean.signals["alpha"]) < 0.13))
     r = fit_mle(model, simulated(calm, model, 3))
@@ -299,16 +292,6 @@ def test_maximum_likelihood_is_least_squares_on_a_linear_model(linear):
         at = [r.names.index(name) for name in names]
         np.testing.assert_allclose(r.estimate[at], expected, rtol=1e-8)
         np.testing.assert_allclose(r.crb[at], bound, rtol=1e-8)
-
-
-def test_white_posterior_is_as_wide_as_the_bounds(clean, model):
-    data = simulated(clean, model, 21, {name: x / 2 for name, x in WHITE.items()})
-    mle = fit_mle(model, data, extra_starts=0)
-    density = Density(data, model, Noise(Colour.WHITE))
-    posterior = sample_ensemble(density, find_mode(density, density_start(density, mle)), seed=1, predictive=False)
-    assert posterior.status is PosteriorStatus.CONVERGED
-    for name, crb in zip(mle.names, mle.crb, strict=True):
-        assert posterior.marginals[name].sd == pytest.approx(crb, rel=0.10), name
 
 
 def test_coloured_posterior_of_a_flight_finds_the_pitching_moment(model, card):
