@@ -38,7 +38,7 @@ from bayes_aero.diagnosis.selection_state import moved, optimum
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.covariance import log_density
-from bayes_aero.inference.gp import fit_gp
+from bayes_aero.inference.gp import Budget, fit_gp
 from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling, maximise, starting_points
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import score
@@ -281,8 +281,8 @@ def process(flights: Flights, problem: Problem, seed: int, sample: bool) -> Gues
     means, sds, ended = [], [], []
     for c, name in enumerate(NAMES):
         fit = fit_gp(
-            problem.inputs[problem.train], problem.measured[problem.train, c], input_names=flights.card.gp_inputs,
-            output_name=name, priors=Priors.quasi_steady(), sample=sample, seed=seed, progress=lambda _: None,
+            problem.inputs[problem.train], problem.measured[problem.train, c], names=(*flights.card.gp_inputs, name),
+            priors=Priors.quasi_steady(), sample=sample, budget=Budget(seed=seed), progress=lambda _: None,
         )  # fmt: skip
         there = fit.predict(problem.inputs)
         means.append(there.mean)

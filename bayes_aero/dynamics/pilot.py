@@ -479,9 +479,8 @@ def fly_standard(
     model: Model,
     values: Mapping[str, Any],
     aircraft: Aircraft,
+    level: Condition,
     *,
-    airspeed: float,
-    altitude: float,
     dt: float,
     amplitude: float = 1.0,
     envelope: Envelope = ANYWHERE,
@@ -493,7 +492,7 @@ def fly_standard(
     rigid = Axis.LATERAL in model.axes
     for effect in model.acting if rigid else ():
         refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
-    pilots, start = standard_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
+    pilots, start = standard_pilots(model, values, aircraft, time, level.airspeed, level.altitude, amplitude)
     if isinstance(start, RigidTrim):
         flights = [fly_rigid(model, values, aircraft, pilot, start, dt) for pilot in pilots.values()]
     else:

@@ -83,12 +83,11 @@ def segments(
     *,
     outputs: Sequence[str] | None = None,
     window: float | None = None,
-    manoeuvres: Sequence[int] | None = None,
     substeps: int = 1,
     fixed: Mapping[str, float | Sequence[float]] | None = None,
     held: bool = False,
 ) -> SegmentTrajectories:
-    """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole ones), with these `outputs`."""
+    """Cut all manoeuvres into windows of about `window` s (default: whole ones); `outputs`: default all recorded."""
     recorded = tuple(name for name in dynamics.outputs if name in flights.channels)
     chosen = recorded if outputs is None else tuple(outputs)
     unknown = [name for name in chosen if name not in recorded]
@@ -102,7 +101,7 @@ def segments(
             states = ", ".join(n for n in dynamics.start if n not in POINTS)
             raise InputError(f"the initial state has {name}, which is no state of the model; there are {states}")
     rows, dts = [], []
-    for number in range(len(flights.lengths)) if manoeuvres is None else manoeuvres:
+    for number in range(len(flights.lengths)):
         samples = np.flatnonzero(flights.manoeuvre == number)
         dt = float(flights.channels["dt"][samples[0]])
         cuts = cuts_of(len(samples), dt, window)

@@ -161,11 +161,10 @@ def _flight_jvp(primals, tangents, *, dt, substeps, outputs, held):
     flown = _flight(system, start, inputs, dt=dt, substeps=substeps, outputs=outputs, held=held)
     t_inputs = {name: t for name, t in t_inputs.items() if t is not None}
     t_start = jnp.zeros_like(start) if t_start is None else t_start
-    row = jax.tree.map(lambda y: y[None], (flown[0], flown[2], inputs, dt))
-    tangents = jax.tree.map(lambda y: y[None], (t_start, t_inputs))
-    along = tangent_flight(substeps, outputs, held)
-    dx, found = jax.tree.map(lambda y: y[0], along(system, *row, t_system, *tangents))
-    return flown, (dx, found, None)
+    path, *tangents = jax.tree.map(lambda y: y[None], (_Path(flown[0], flown[2], inputs, dt), t_start, t_inputs))
+    along = tangent_flight(substeps, outputs, held)(system, path, t_system, *tangents)
+    dx, dy = jax.tree.map(lambda y: y[0], along)
+    return flown, (dx, dy, None)
 
 
 # --- Sensitivities of a simulated trajectory: the derivative of its integration, in a fraction of the time.
@@ -203,36 +202,43 @@ def stage_table(substeps: int) -> tuple[Array, Array, Array, Array]:
     return shares, ahead, weights, last
 
 
+class _Path(NamedTuple):
+    """The path of w segments, along which derivatives are taken."""
+
+    x: Float[Array, "w n s"]
+    inside: Bool[Array, "w n"]
+    inputs: Channels
+    dt: Float[Array, " w"]
+
+
 @lru_cache
 def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
-    """Derivative of states (w, n, s) and `outputs` (w, n) of w segments in one direction. Under `jax.vmap` segments are
-    joined along the segments' axis, directions along the directions' axis."""
+    """Derivative of states (w, n, s) and `outputs` (w, n) of w segments in one direction."""
+    # Under `jax.vmap` segments are joined along the segments' axis, directions along the directions' axis.
 
     @jax.custom_batching.custom_vmap
-    def tangent(system, x, inside, inputs, dt, t_system, t_start, t_inputs):
+    def tangent(system, path, t_system, t_start, t_inputs):
         towards = jax.tree.map(lambda t: t[..., None], (t_system, t_start, t_inputs))
-        found = _along(system, x, inside, inputs, dt, towards, substeps, outputs, held)
-        return jax.tree.map(lambda t: t[..., 0], found)
+        return jax.tree.map(lambda t: t[..., 0], _along(system, path, towards, substeps, outputs, held))
 
     @tangent.def_vmap
     def _(size, batched, *arguments):
-        system, x, inside, inputs, dt, t_system, t_start, t_inputs = arguments
+        system, path, t_system, *begin = arguments
         marks = jax.tree.map(bool, batched)
         alike = not any(jax.tree.leaves(marks[0]))
-        if alike and not any(jax.tree.leaves(marks[:5])):  # directions
+        if alike and not any(jax.tree.leaves(marks[1])):  # directions
             wide = lambda t, m: jnp.moveaxis(t, 0, -1) if m else jnp.broadcast_to(t[..., None], (*t.shape, size))  # noqa: E731
-            towards = tuple(jax.tree.map(wide, t, m) for t, m in zip(arguments[5:], marks[5:], strict=True))
-            found = _along(system, x, inside, inputs, dt, towards, substeps, outputs, held)
+            towards = tuple(jax.tree.map(wide, t, m) for t, m in zip(arguments[2:], marks[2:], strict=True))
+            found = _along(system, path, towards, substeps, outputs, held)
             found = jax.tree.map(lambda t: jnp.moveaxis(t, -1, 0), found)
-        elif alike and not any(jax.tree.leaves(marks[5])):  # segments
+        elif alike and not any(jax.tree.leaves(marks[2])):  # segments
 
             def end_to_end(t, m):
                 t = t if m else jnp.broadcast_to(t, (size, *t.shape))
                 return t.reshape(-1, *t.shape[2:])
 
-            trees, known = (x, inside, inputs, dt, t_start, t_inputs), (*marks[1:5], *marks[6:])
-            own = [jax.tree.map(end_to_end, t, m) for t, m in zip(trees, known, strict=True)]
-            found = tangent(system, *own[:4], t_system, *own[4:])
+            path, *begin = jax.tree.map(end_to_end, (path, *begin), (marks[1], *marks[3:]))
+            found = tangent(system, path, t_system, *begin)
             found = jax.tree.map(lambda t: t.reshape(size, -1, *t.shape[1:]), found)
         else:
             axes = jax.tree.map(lambda m: 0 if m else None, tuple(marks))
@@ -243,17 +249,10 @@ def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
 
 
 def _along(
-    system: Any,
-    x: Float[Array, "w n s"],
-    inside: Bool[Array, "w n"],
-    inputs: Channels,
-    dt: Float[Array, " w"],
-    towards: tuple[Any, Any, Any],
-    substeps: int,
-    outputs: tuple[str, ...],
-    held: bool,
+    system: Any, path: _Path, towards: tuple[Any, Any, Any], substeps: int, outputs: tuple[str, ...], held: bool
 ) -> tuple[Float[Array, "w n s d"], dict[str, Float[Array, "w n d"]]]:
     """In d directions `towards`, of the system's numbers (..., d), the start (w, s, d) and inputs (w, n, d)."""
+    x, inside, inputs, dt = path
     t_system, t_start, t_inputs = towards
     (w, n, _), directions = x.shape, t_start.shape[-1]
     shares, then = stage_table(substeps)[0], later(inputs, held)

@@ -478,24 +478,29 @@ RULE = Rule(
 )
 
 
+class Options(NamedTuple):
+    """Of a fit: a factor on all priors (0: none, nor of initial states), parameters without a prior, steps."""
+
+    prior_weight: float = 1.0
+    without: Collection[str] = ()
+    max_iterations: int = MAX_ITERATIONS
+
+
 def fit_output_error(
     flown: SegmentTrajectories,
     *,
     start: Float[np.ndarray, " k"] | None = None,
     departure: Float[np.ndarray, "w s"] | None = None,
     held: Mapping[str, float] | None = None,
-    prior_weight: float = 1.0,
-    without: Collection[str] = (),
-    max_iterations: int = MAX_ITERATIONS,
     biases: Mapping[str, Prior] | None = None,
     stopped: Callable[[], bool] | None = None,
+    **options: Any,
 ) -> OutputErrorResult:
-    """Fit all segments together from one start."""
+    """Fit all segments together from one start, with the `options` of `Options`."""
     # `departure`: corrections of the measured initial states to start from, SI. `held`: parameters that are not
-    # estimated, and their values. `prior_weight`: factor on all priors; 0 leaves them out, those of the initial states
-    # too. `without`: parameters without a prior. `biases`: outputs with a constant error in each manoeuvre, and its
-    # prior: further parameters (`bias_output_1` and so on). `stopped`: called before each step; True ends the fit
-    # there, not converged.
+    # estimated, and their values. `biases`: outputs with a constant error in each manoeuvre, and its prior, which are
+    # further parameters (`bias_output_1`). `stopped`: called before each step; True ends the fit there, not converged.
+    prior_weight, without, max_iterations = Options(**options)
     if biases:
         modelled = len(flown.dynamics.free)
         flown = replace(flown, dynamics=biased_dynamics(flown.dynamics, flown.flights, biases))

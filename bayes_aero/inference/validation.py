@@ -31,7 +31,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import standard_error_of_sum
-from bayes_aero.inference.gp import MAX_SAMPLES, GPFit, fit_gp, too_many
+from bayes_aero.inference.gp import MAX_SAMPLES, Budget, GPFit, fit_gp, too_many
 from bayes_aero.inference.gp.kernel import Priors
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import (
@@ -156,11 +156,10 @@ class _Work(NamedTuple):
         fit = fit_gp(
             self.X[train],
             self.z[train],
-            input_names=self.inputs,
-            output_name=self.coefficient,
+            names=(*self.inputs, self.coefficient),
             priors=Priors.quasi_steady(),
             sample=self.sampled,
-            seed=self.seed,
+            budget=Budget(seed=self.seed),
             progress=lambda _: None,
         )
         if self.tidy:

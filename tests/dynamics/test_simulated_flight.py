@@ -47,7 +47,7 @@ def pitched_by(card, *effects):
 
 
 def standard(model, card, **changes):
-    return fly_standard(model, values(**changes), card.aircraft, airspeed=AIRSPEED, altitude=ALTITUDE, dt=0.04)[::2]
+    return fly_standard(model, values(**changes), card.aircraft, Condition(AIRSPEED, ALTITUDE), dt=0.04)[::2]
 
 
 def test_the_command_is_the_textbook_s_and_of_a_control_that_pitches_up_the_other_way(card):

@@ -198,7 +198,7 @@ def test_the_optimum_is_at_least_as_good_as_that_of_scipy(priors):
 
 # Full Bayes through the stand-in equals NUTS on the exact density, and a wrong stand-in is refused
 LENGTH = Settings(250, 500, 4)
-BUDGET = Budget(exact=400, nuts=LENGTH)
+BUDGET, FOUR = Budget(exact=400, nuts=LENGTH), Budget(starts=4)
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +209,7 @@ def case():
     y = 0.5 + 0.4 * x[:, 0] + 0.5 * np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=60)
     data = ReducedData.of(x, y)
     best = find_map(data, Priors(), starts=4, polish=1)[0]
-    return data, best, sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
+    return data, best, sample_posterior(best, data, Priors(), budget=BUDGET._replace(seed=2))
 
 
 def test_it_is_accepted_with_its_error_measured_and_the_same_again(case):
@@ -223,7 +223,7 @@ def test_it_is_accepted_with_its_error_measured_and_the_same_again(case):
     at = weighted.theta[1, 5]
     assert weighted.exact[1, 5] == pytest.approx(log_posterior(at, data, Priors())[0], abs=1e-9)
     data, best, sampled = case
-    again = sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
+    again = sample_posterior(best, data, Priors(), budget=BUDGET._replace(seed=2))
     np.testing.assert_array_equal(again.weighted.theta, sampled.weighted.theta)
     assert again.weighted.k_hat == sampled.weighted.k_hat
 
@@ -273,9 +273,9 @@ def test_it_samples_as_before_after_compiled_programs_were_given_back():
     data = ReducedData.of(x, np.sin(3.0 * x[:, 0]) + 0.1 * np.random.default_rng(3).normal(size=30))
     best = find_map(data, Priors(), starts=2, polish=1)[0]
     tiny = Budget(design=20, exact=20, rounds=1, extensions=0, nuts=Settings(10, 10, 2))
-    before = sample_posterior(best, data, Priors(), budget=tiny, seed=1)
+    before = sample_posterior(best, data, Priors(), budget=tiny._replace(seed=1))
     give_back_memory()
-    after = sample_posterior(best, data, Priors(), budget=tiny, seed=1)
+    after = sample_posterior(best, data, Priors(), budget=tiny._replace(seed=1))
     np.testing.assert_array_equal(after.chains.theta, before.chains.theta)
 
 
@@ -298,9 +298,7 @@ def test_a_stand_in_that_is_too_narrow_or_cannot_learn_is_refused(case, monkeypa
         return honest([p._replace(stats=s) for p, s in zip(points, bent, strict=True)], level)
 
     monkeypatch.setattr(posterior, "fit_emulator", crooked)
-    sampled = sample_posterior(
-        best, data, Priors(), budget=Budget(exact=80, rounds=2, extensions=1, nuts=LENGTH), seed=0
-    )
+    sampled = sample_posterior(best, data, Priors(), budget=Budget(exact=80, rounds=2, extensions=1, nuts=LENGTH))
     assert sampled.status is not SampleStatus.accepted
     assert "Refused" in sampled.status.value
 
@@ -411,12 +409,12 @@ def make(seed, n=100):
 def sampled():
     X, y = make(0)
     budget = Budget(exact=80, nuts=LENGTH)  # shape and settings as above: one compilation
-    return fit_gp(X[:, 1:], y - 6 * X[:, 0], input_names=("V",), output_name="CL", starts=4, budget=budget, seed=4)
+    return fit_gp(X[:, 1:], y - 6 * X[:, 0], names=("V", "CL"), budget=budget._replace(starts=4, seed=4))
 
 
 @pytest.fixture(scope="module")
 def at_map():
-    return fit_gp(*make(0), input_names=("alpha", "V"), starts=4, sample=False)
+    return fit_gp(*make(0), names=("alpha", "V", "y"), budget=FOUR, sample=False)
 
 
 def test_predictions_cover_what_they_say_with_the_uncertainty_of_hyperparameters(sampled):
@@ -469,7 +467,7 @@ def test_mixture_quantiles_are_those_of_its_draws():
 
 def test_units_of_inputs_and_output_do_not_matter(at_map):
     X, y = make(0)
-    other = fit_gp(X * [57.3, 3.6] + [1.0, 0.0], 100.0 * y, starts=4, sample=False)
+    other = fit_gp(X * [57.3, 3.6] + [1.0, 0.0], 100.0 * y, budget=FOUR, sample=False)
     new, _ = make(6, n=20)
     there, here = other.predict(new * [57.3, 3.6] + [1.0, 0.0]), at_map.predict(new)
     np.testing.assert_allclose(there.mean, 100.0 * here.mean, rtol=1e-4)
@@ -499,7 +497,7 @@ def test_a_fit_without_sampling_says_so_and_takes_jax_arrays(at_map):
     assert at_map.posterior is None
     assert np.isnan(at_map.k_hat)
     X, y = make(0)
-    again = fit_gp(jnp.asarray(X), jnp.asarray(y), starts=4, sample=False)
+    again = fit_gp(jnp.asarray(X), jnp.asarray(y), budget=FOUR, sample=False)
     assert again.optima[0].value == at_map.optima[0].value
     with pytest.raises(InputError, match="alpha, V"):
         at_map.predict(np.zeros((3, 3)))
@@ -536,7 +534,7 @@ def test_dependent_inputs_have_a_mode_and_a_status_in_place_of_draws(dependent):
     if dependent != "linear output":
         X = np.column_stack([X, X[:, 0] if dependent == "input twice" else X @ [1.0, 0.01]])
     y = 2.0 + X @ np.arange(1.0, X.shape[1] + 1.0) if dependent == "linear output" else y
-    found = fit_gp(X, y, sample=True, starts=3, seed=1)
+    found = fit_gp(X, y, sample=True, budget=Budget(starts=3, seed=1))
     assert found.status is SampleStatus.dependent
     assert found.posterior is None
     assert np.isfinite(found.predict(X).mean).all()

@@ -1,6 +1,6 @@
 """Gaussian-process regression of one output on a few inputs: `fit_gp`, and its result `GPFit`.
 
-fit = fit_gp(X, y, input_names=("alpha", "elevator", "q", "V"), sample=True, seed=1)
+fit = fit_gp(X, y, names=("alpha", "elevator", "q", "V", "CL"), sample=True)
 fit.predict(X_new).mean;  fit.posterior;  fit.status.value;  fit.k_hat
 """
 
@@ -105,18 +105,17 @@ def fit_gp(
     X: Matrix,
     y: Vector,
     *,
-    input_names: tuple[str, ...] | None = None,
-    output_name: str = "y",
+    names: tuple[str, ...] = (),
     priors: Priors = Priors(),
     sample: bool = True,
-    seed: int = 0,
-    starts: int = 16,
     budget: Budget = Budget(),
     progress: Callable[[str], None] | None = None,
 ) -> GPFit:
     """Train a DPSE Gaussian process on inputs X (n, d) and output y (n,), any units; `sample` adds the posterior."""
+    # `names` of the inputs, and of the output behind them.
     X, y = np.asarray(X, float), np.asarray(y, float)
-    names = tuple(input_names or (f"x{i}" for i in range(X.shape[-1])))
+    names = names or (*(f"x{i}" for i in range(X.shape[-1])), "y")
+    names, output_name, seed = names[:-1], names[-1], budget.seed
     if len(X) > MAX_SAMPLES:
         raise InputError(too_many(len(X)))
     if sample and not priors.proper:
@@ -130,14 +129,14 @@ def fit_gp(
             bar.update()
 
         tell = progress or show
-        optima = tuple(find_map(data, priors, starts=starts, seed=seed, progress=tell))
+        optima = tuple(find_map(data, priors, starts=budget.starts, seed=seed, progress=tell))
         status, sampled, draws, tree = SampleStatus.not_sampled, None, None, None
         if sample and optima[0].status is MapStatus.not_positive_definite:
             status = SampleStatus.no_optimum
         elif sample and data.dependent:
             status = SampleStatus.dependent
         elif sample:
-            sampled = sample_posterior(optima[0], data, priors, budget=budget, seed=seed, tell=tell)
+            sampled = sample_posterior(optima[0], data, priors, budget=budget, tell=tell)
             status = sampled.status
     if sampled is not None and sampled.weighted is not None and status is SampleStatus.accepted:
         weighted = sampled.weighted

@@ -392,7 +392,7 @@ MAX_GAP = 30.0  # nats below the best point, beyond which a point no longer trai
 
 
 class Budget(NamedTuple):
-    """Budget of the sampling."""
+    """Of the search for the mode and of the sampling, and the seed of both."""
 
     design: int = 52  # gradients, as `pilots`
     pilots: int = 12
@@ -400,6 +400,8 @@ class Budget(NamedTuple):
     rounds: int = 8  # of training, at most
     extensions: int = 2  # of a NUTS run that has not mixed
     nuts: Settings = Settings()
+    starts: int = 16  # of the search for the mode
+    seed: int = 0
 
 
 class Sampled(NamedTuple):
@@ -418,10 +420,10 @@ def sample_posterior(
     priors: Priors,
     *,
     budget: Budget = Budget(),
-    seed: int = 0,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Sampled:
     """Draws of theta from the exact posterior around `optimum`, or the reason why there are none."""
+    seed = budget.seed
     rng = np.random.default_rng(seed)
     covariance, points = curvature(optimum, data, priors)
     root = np.linalg.cholesky(covariance)
