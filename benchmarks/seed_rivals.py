@@ -38,8 +38,9 @@ from bayes_aero.diagnosis.selection_state import moved, optimum
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.covariance import log_density
-from bayes_aero.inference.gp import Budget, fit_gp
+from bayes_aero.inference.gp import fit_gp
 from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling, maximise, starting_points
+from bayes_aero.inference.gp.posterior import Budget
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import score
 from bayes_aero.inference.validation import KINDS, SplitKind, make_splits

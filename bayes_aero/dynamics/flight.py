@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -16,18 +15,17 @@ from jaxtyping import Array, Float
 from bayes_aero.dynamics.aircraft import (
     ANGLES,
     ENGINES,
-    FLOW,
     LATERAL,
     MIN_LAG,
     SIDE,
     EffectSystem,
-    InGusts,
+    FlightPath,
     Longitudinal,
     RigidBody,
     held_states,
     recorded_drives,
 )
-from bayes_aero.dynamics.system import LinearSystem, OfPlain, Row, System
+from bayes_aero.dynamics.system import LinearSystem, OfPlain, System
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -35,7 +33,7 @@ from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.card_tables import ONE, LinearCard
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.readings import dead_heading
-from bayes_aero.model.model import Model
+from bayes_aero.model.model import Model, as_on_card
 from bayes_aero.model.observations import response_scales
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Limits, Parameter, Prior, Role, Sign
@@ -293,6 +291,20 @@ def taken_as_zero(flights: Flights) -> list[str]:
     return [*missing, "ay"] if missing and slips and "ay" not in flights.channels else missing
 
 
+# --- Parameters that have a value for each manoeuvre.
+
+
+def of_each(name: str, manoeuvres: int) -> list[str]:
+    """Their names, in the order of the manoeuvres."""
+    return [f"{name}_{k + 1}" for k in range(manoeuvres)]
+
+
+def along_each(values: Values, name: str, lengths: Sequence[int]) -> Array:
+    """Their values at every sample of manoeuvres of these lengths, (n,)."""
+    sizes = jnp.stack([values[n] for n in of_each(name, len(lengths))])
+    return sizes[np.repeat(np.arange(len(lengths)), lengths)]
+
+
 # --- Constant errors of recorded outputs, one for each manoeuvre, estimated together with the initial states.
 
 
@@ -321,9 +333,9 @@ class BiasedDynamics(Dynamics):
     def free(self) -> tuple[Parameter, ...]:
         unit = lambda output: STANDARD_CHANNELS[output].unit if output in STANDARD_CHANNELS else "SI"  # noqa: E731
         biases = [
-            Parameter(_name(output, k), unit(output), 0.0, 0.0, f"bias of recorded {output}, manoeuvre {k + 1}", prior)
+            Parameter(name, unit(output), 0.0, 0.0, f"bias of recorded {output}, manoeuvre {k + 1}", prior)
             for output, prior in self.biased
-            for k in range(len(self.lengths))
+            for k, name in enumerate(of_each(f"bias_{output}", len(self.lengths)))
         ]
         return (*self.plain.free, *biases)
 
@@ -333,11 +345,8 @@ class BiasedDynamics(Dynamics):
 
     def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
         """The corrected record without its biases, from which the measured initial state is also taken."""
-        unbiased = dict(channels)
-        for name, _ in self.biased:
-            sizes = jnp.stack([values[_name(name, k)] for k in range(len(self.lengths))])
-            unbiased[name] = channels[name] - sizes[np.repeat(np.arange(len(self.lengths)), self.lengths)]
-        return self.plain.corrected(values, unbiased, aircraft)
+        unbiased = {n: channels[n] - along_each(values, f"bias_{n}", self.lengths) for n, _ in self.biased}
+        return self.plain.corrected(values, {**channels, **unbiased}, aircraft)
 
 
 def biased_dynamics(dynamics: Dynamics, flights: Flights, priors: Mapping[str, Prior]) -> Dynamics:
@@ -361,10 +370,6 @@ def with_biases_of(other: Dynamics, plain: Dynamics) -> Dynamics:
     return replace(other, plain=plain) if isinstance(other, BiasedDynamics) else plain
 
 
-def _name(output: str, manoeuvre: int) -> str:
-    return f"bias_{output}_{manoeuvre + 1}"
-
-
 # --- The flight path of recorded accelerations and rates: kinematics without aerodynamics.
 # States are what other sensors measure: airspeed, alpha, theta, as far as recorded beta, phi, psi, altitude; and gusts.
 # Inputs are the accelerometers and gyros. Sensor errors are effects that correct the record. Source: Klein and Morelli,
@@ -373,31 +378,6 @@ def _name(output: str, manoeuvre: int) -> str:
 INERTIAL = frozenset(("ax", "ay", "az", "p", "q", "r"))
 JUMP = 0.2  # rad from sample to sample: faster than any aircraft turns
 PATH_FORCES = ("force_x", "force_y", "force_z")  # specific force at the centre of gravity
-
-
-class FlightPath(InGusts):
-    """Motion from accelerometers and gyros; `named` are its states without gusts."""
-
-    named: tuple[str, ...] = eqx.field(static=True)
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return (*self.named, *(d.state for d in self.model.disturbances))
-
-    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
-        s = dict(u) | dict(zip(self.states, x, strict=True))
-        return s | self.model.inflow(self.values, s, self.aircraft)
-
-    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        state = dict(zip(self.states, x, strict=True))
-        s, flow = dict(u) | state, self.flow_signals(x, u)
-        force = (u["force_x"], u["force_y"], u["force_z"])
-        rates = kinematics.motion_of_path(s, force) | kinematics.lateral_motion(s, force)
-        rates["psi"] = kinematics.euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
-        decay, _ = self.mean_gust_rates(state, flow)
-        return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {
-            n: flow[n] for n in FLOW if n in state
-        }
 
 
 @dataclass(frozen=True)
@@ -413,7 +393,7 @@ class PathDynamics(EffectDynamics):
         several = len(self.lengths) > 1
         common = [p for p in self.model.free if not (several and p.name in self.own)]
         each = [p for p in self.model.free if several and p.name in self.own]
-        by_manoeuvre = [replace(p, name=_own_name(p.name, k)) for p in each for k in range(len(self.lengths))]
+        by_manoeuvre = [replace(p, name=name) for p in each for name in of_each(p.name, len(self.lengths))]
         return (*common, *by_manoeuvre)
 
     @property
@@ -430,11 +410,8 @@ class PathDynamics(EffectDynamics):
 
     def values(self, theta: Any) -> dict[str, Any]:
         found = dict(self.model.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
-        count = len(self.lengths)
-        for name in (n for n in self.own if _own_name(n, 0) in found):
-            sizes = jnp.stack([found.pop(_own_name(name, k)) for k in range(count)])
-            found[name] = sizes[np.repeat(np.arange(count), self.lengths)]
-        return found
+        several = [n for n in self.own if f"{n}_1" in found]
+        return found | {name: along_each(found, name, self.lengths) for name in several}
 
     def system(self, values: Values, aircraft: Aircraft) -> System:
         kept = {n: values[n] for n in self.disturbance_parameters | {d.intensity for d in self.model.disturbances}}
@@ -486,10 +463,6 @@ def heading(flights: Flights) -> Float[np.ndarray, " n"] | None:
         if any(dead_heading(dict(zip((*seen, "psi"), view, strict=True))) for view in views):
             return None
     return np.concatenate(turned)
-
-
-def _own_name(parameter: str, manoeuvre: int) -> str:
-    return f"{parameter}_{manoeuvre + 1}"
 
 
 # --- Sensor errors that a flight-path reconstruction estimates: those of the catalogue that the recorded channels
@@ -568,7 +541,7 @@ class LinearDynamics(Dynamics):
     @property
     def free(self) -> tuple[Parameter, ...]:
         free = [p for p in self.parameters if p.name not in self.fixed]
-        many = {name: self.names_of(name) for name in self.rows.by_manoeuvre}
+        many = {name: of_each(name, len(self.lengths)) for name in self.rows.by_manoeuvre}
         return tuple(replace(p, name=name) for p in free for name in many.get(p.name, [p.name]))
 
     @property
@@ -604,15 +577,14 @@ class LinearDynamics(Dynamics):
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Recorded inputs, and a constant, which gives the number of samples where there are no inputs."""
-        which = np.repeat(np.arange(len(self.lengths)), self.lengths)
-        own = {name: jnp.stack([values[n] for n in self.names_of(name)])[which] for name in self.rows.by_manoeuvre}
+        own = {name: along_each(values, name, self.lengths) for name in self.rows.by_manoeuvre}
         return {name: channels[name] for name in self.inputs} | own | {ONE: jnp.ones_like(channels["dt"])}
 
     def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
         return {output: parameter for output, parameter in self.rows.delays if output in outputs}
 
     def names_of(self, name: str) -> list[str]:
-        return [f"{name}_{k + 1}" for k in range(len(self.lengths))]
+        return of_each(name, len(self.lengths))
 
 
 def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynamics:
@@ -625,12 +597,7 @@ def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynami
     for name in card.linear.parameters:
         unit, text = _meaning(name, card.linear, units)
         parameter = replace(Parameter(name, unit, 0.0, 0.0, text, FLAT), **_sign_or_limits(name, card.linear))
-        change = card.changes.get(name)
-        given = {} if change is None else {key: value for key, value in vars(change).items() if value is not None}
-        try:
-            parameters.append(parameter.changed(**given))
-        except InputError as error:
-            raise InputError(f"card {card.name}: {error}") from None
+        parameters.append(as_on_card(parameter, card))
     named = tuple((name, units[name]) for name in card.linear.states)
     return LinearDynamics(card.linear, tuple(parameters), named, lengths)
 

@@ -1,6 +1,6 @@
 """Simulation of a model: longitudinal equations of motion, with the effects of the coefficient fit.
 
-Bank angle and sideslip are prescribed (see `plant`). Flat earth, no wind.
+Bank angle and sideslip are prescribed (see `Plant`). Flat earth, no wind.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.optimize import brentq
 
 from bayes_aero.dynamics.aircraft import RigidBody
+from bayes_aero.dynamics.flight import Values
 from bayes_aero.dynamics.system import Row, System, advance, integrate, later, step
 from bayes_aero.dynamics.trim import (
     CONTROLS,
@@ -24,7 +25,6 @@ from bayes_aero.dynamics.trim import (
     Condition,
     RigidTrim,
     Trim,
-    Values,
     control_signs,
     lead,
     refuse_unsimulated,
@@ -163,12 +163,11 @@ class Pilot(NamedTuple):
 
 def fly(
     model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: float
-) -> dict[str, Float[Array, " n"]]:
+) -> dict[str, Float[np.ndarray, " n"]]:
     """All signals of the flight by the names of recorded channels, and CL, CD, Cm, X; (n,), SI. Inputs are linear
     between samples. Held inputs would lag their record by half a sample, which a diagnosis finds as a delay of the
     elevator."""
-    numbers, pilot, start = jax.tree.map(lambda x: jnp.asarray(x, float), (dict(values), pilot, start))
-    return _fly_one(model, numbers, aircraft, pilot, start, jnp.asarray(dt))
+    return fly_together(model, values, aircraft, [pilot], [start], dt)[0]
 
 
 def fly_together(
@@ -191,7 +190,6 @@ def _fly(model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot,
     return found | {"psi": jnp.cumsum(jnp.pad(0.5 * dt * (turn[1:] + turn[:-1]), (1, 0)))}
 
 
-_fly_one = eqx.filter_jit(_fly)
 _fly_several = eqx.filter_jit(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0, 0, None)))
 
 

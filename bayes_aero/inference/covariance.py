@@ -222,6 +222,18 @@ def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float)
     return np.where(moving, exact * np.mean(1.0 / np.where(moving, drawn, 1.0), axis=0), 1.0)
 
 
+def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray, " j"]) -> Float[np.ndarray, "j j"]:
+    """Inverse of the information of the estimated variables; zero for held ones and those without information."""
+    # The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
+    # beside angles in radians.
+    informed = moving & (np.diag(information) > 0.0)
+    block = information[np.ix_(informed, informed)]
+    scale = np.sqrt(np.outer(np.diag(block), np.diag(block)))
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(informed, informed)] = np.linalg.pinv(block / scale, hermitian=True) / scale
+    return covariance
+
+
 # --- Covariance from the scatter between blocks of a record, for any autocorrelation within a block.
 # `robust_covariance` corrects each block by its leverage (HC3) instead, `standard_error_of_sum` has no blocks.
 

@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar
 from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics, biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
-from bayes_aero.inference.covariance import BLOCK, LinearFit, calibration, corrected_covariance, means
+from bayes_aero.inference.covariance import BLOCK, LinearFit, calibration, corrected_covariance, covariance_of, means
 from bayes_aero.inference.optimise import (
     MAX_TRIALS,
     Evaluation,
@@ -391,11 +391,6 @@ def result_at(
         scale = np.sqrt(size[informed])
         values, vectors = np.linalg.eigh(A[np.ix_(informed, informed)] / np.outer(scale, scale))
         lost[informed] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > MIN_COMPONENT
-    estimated = ~held & ~lost
-    moving = np.ix_(estimated, estimated)
-    scale = np.sqrt(np.diag(A)[estimated])
-    covariance = np.zeros_like(A)
-    covariance[moving] = np.linalg.pinv(A[moving] / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     return OutputErrorResult(
         flown=flown,
         parameters=free,
@@ -403,7 +398,7 @@ def result_at(
         departure=point.departure,
         R=point.R,
         cost=point.cost,
-        covariance=covariance,
+        covariance=covariance_of(A, ~held & ~lost),
         information=A - np.diag(prior.precision),
         priors=prior,
         rms=np.sqrt(np.sum(residual**2, axis=1) / np.maximum(point.products.count, 1.0)[:, None]),

@@ -31,6 +31,7 @@ from bayes_aero.dynamics.innovations import (
 from bayes_aero.dynamics.kalman import Filtered, NoisePoint, innovations_density, log_likelihood
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health.finding import quantum
+from bayes_aero.inference.covariance import covariance_of
 from bayes_aero.inference.optimise import (
     APPROXIMATE_SCORING,
     Evaluation,
@@ -259,18 +260,6 @@ class _Problem:
         return self.evaluate(point, likelihood)
 
 
-def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray, " j"]) -> Float[np.ndarray, "j j"]:
-    """Inverse of the information of the estimated variables; zero for held ones and those without information."""
-    # The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
-    # beside angles in radians.
-    informed = moving & (np.diag(information) > 0.0)
-    block = information[np.ix_(informed, informed)]
-    scale = np.sqrt(np.outer(np.diag(block), np.diag(block)))
-    covariance = np.zeros_like(information)
-    covariance[np.ix_(informed, informed)] = np.linalg.pinv(block / scale, hermitian=True) / scale
-    return covariance
-
-
 # --- A fit with all disturbances of a flight: gusts, and process noise of the states for what gusts do not explain.
 
 GUSTS = ("vertical_gust", "longitudinal_gust")
@@ -328,7 +317,7 @@ def fit_disturbed(
 
 
 # --- The posterior of a flight fitted with process noise: parameters, process noise and measurement noise, jointly.
-# The density is that of `likelihood.prediction_error`, with the parameters' priors instead of their normal
+# The density is that of the fit, with the parameters' priors instead of their normal
 # approximations, and weak lognormal priors of the noise, so that the posterior is proper where a process noise is
 # not distinguishable from zero.
 # A noise or gust of hardly any size has a posterior that is flat in its logarithm below what the record can tell,

@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Complex, Float, Int
@@ -22,7 +21,6 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.gp import GPFit
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming, Observations
@@ -437,7 +435,7 @@ class GPReport:
     """Gaussian processes of one run."""
 
     splits: dict[str, list[dict[str, Validation]]]  # folds (several of `manoeuvre` alone), by coefficient
-    fits: dict[str, GPFit]  # of the chosen split's first fold
+    fits: dict[str, Any]  # `GPFit` of the chosen split's first fold
     chosen: str
     seconds: float
     left_out: tuple[str, ...] = ()  # which splits the records do not allow, and why
@@ -535,7 +533,7 @@ class Identification:
     def fitted(self) -> Float[np.ndarray, "n c"]:
         """CL, CD, Cm of the maximum-likelihood fit at every sample."""
         o = self.observations
-        return np.asarray(self.model.predicted(jnp.asarray(self.mle.estimate), o.signals, o.aircraft))
+        return np.asarray(self.model.predicted(np.asarray(self.mle.estimate), o.signals, o.aircraft))
 
 
 class OutputErrorStatus(Enum):

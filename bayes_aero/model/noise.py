@@ -63,11 +63,9 @@ class Noise:
         X: Float[Array, " n"],
         start: Bool[Array, " n"],
     ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        """Innovations of one coefficient over their standard deviation, and the logarithm of that standard deviation.
-
-        `residual` is measured minus modelled. At `start` the innovation is the residual itself with the stationary
-        standard deviation, so that manoeuvres are independent and the density is exact.
-        """
+        """Innovations of one coefficient over their standard deviation, and the logarithm of the latter."""
+        # `residual` is measured minus modelled. At `start` the innovation is the residual itself with the stationary
+        # standard deviation, so that manoeuvres are independent and the density is exact.
         sigma = values[f"sigma_{name}"]
         log_growth = jnp.zeros(())
         if self.colour is Colour.BUFFET_AR1:

@@ -34,8 +34,8 @@ from studies import resumed
 from verify import CLAIMS, LEVEL, ROUND, Claim, Side, begin, count, enter, flights, fly, line_of, mark
 
 from bayes_aero.errors import InputError
+from bayes_aero.inference.covariance import log_density
 from bayes_aero.inference.gp.kernel import Priors, ReducedData
-from bayes_aero.inference.gp.posterior import log_density
 from bayes_aero.simulate.demo import TRUTH
 
 

@@ -125,20 +125,6 @@ def test_without_lateral_input_it_is_longitudinal_motion(stall):
         np.testing.assert_allclose(ends[1][name], x, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
-def test_prescribed_lateral_motion_is_longitudinal_motion():
-    """With p, r, beta and phi held to what another flight recorded, and its side force from the accelerometer."""
-    n, dt = 401, 0.04
-    model = six.model(six.LONGITUDINAL, (Axis.LONGITUDINAL,))
-    u = moved(n, dt, **wings_not_level(np.arange(n) * dt))
-    flat = Longitudinal(model, six.values(ODD, model), six.aircraft(ODD))
-    held = body(ODD, model, held=HELD[Axis.LATERAL])
-    assert set(held.states) == set(flat.states)
-    ends = [fly(s, jnp.array([START[name] for name in s.states]), u, dt).outputs for s in (flat, held)]
-    assert float(jnp.ptp(ends[0]["alpha"])) > 0.05
-    for name, x in ends[0].items():
-        np.testing.assert_allclose(ends[1][name], x, rtol=1e-9, atol=1e-9, err_msg=name)
-
-
 def test_a_centre_of_gravity_aside_and_uneven_engines_turn_it_as_another_simulator_says():
     """Rates at one instant; the engines' true thrust is what the effect makes of the recorded one."""
     odd = Plane(**six.ATTACHED, aside=0.12, uneven=0.2)

@@ -14,13 +14,13 @@ from bayes_aero.inference.covariance import (
     calibration,
     cluster_covariance,
     corrected_covariance,
+    covariance_of,
     jackknife_covariance,
     robust_covariance,
     stationary_series,
 )
 from bayes_aero.inference.frequency import cramer_rao, solve
 from bayes_aero.inference.mle import active_bounds, prior_conflicts
-from bayes_aero.inference.prediction_error import covariance_of
 from bayes_aero.inference.results import inseparable
 from bayes_aero.inference.sampling import Drawn, assemble
 from bayes_aero.inference.validation import Dependence, prior_sensitivity

@@ -217,7 +217,7 @@ def gaussian_parts(
     theta: Float[np.ndarray, " p"], data: ReducedData, x_new: Float[np.ndarray, "k d"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Mean and variance of the latent function at scaled inputs x_new (k, d), in scaled output units."""
-    # With R, F, D of `emulator`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
+    # With R, F, D of `kernel`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
     # Williams 2006, eq. 2.42) with a proper prior D on the basis. One factorisation and one triangular solve.
     d, factor = data.x.shape[1], factorise(noise_to_signal(theta), data)
     if factor is None:

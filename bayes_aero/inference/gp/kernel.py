@@ -265,7 +265,7 @@ class Priors:
 # y'K^-1 y follow exactly, by the matrix determinant and inversion lemmas, from
 # logdet = log|R| and gram = [F y]' R^-1 [F y], (d + 2) x (d + 2),
 # which depend on u = (log l_1..d, log g) alone. So the expensive function has d + 1 arguments, not 2d + 3, and
-# smooth, small outputs; the other hyperparameters cost microseconds (`optimum.slopes`).
+# smooth, small outputs; the other hyperparameters cost microseconds (`slopes`).
 # The gradient is analytic. With V = R^-1 [F y]: d gram = -V' dR V, and d logdet = tr(R^-1 dR). The SE part has
 # dR/dlog l_k = SE o (x_ik - x_jk)^2 (elementwise), and sum_ij M_ij (x_ik - x_jk)^2 for a symmetric M needs only M's
 # row sums and M x: no n x n x p array is ever formed. LAPACK potrf + potri, n^3 flops together.

@@ -42,7 +42,7 @@ from bayes_aero.inference.gp.kernel import (
 #
 # `logdet` and the logarithmic Cholesky factor of `gram` are smooth functions of u = (log l_1..d, log g), d + 1 numbers;
 # every exact evaluation gives their values and all first derivatives, so a few tens of evaluations determine a full
-# cubic. `posterior.reweight` measures the error of the stand-in on exact evaluations and removes it.
+# cubic. `reweight` measures the error of the stand-in on exact evaluations and removes it.
 
 DEGREE = 4  # also the order of the coefficient tensor below
 # With fewer rows than this times its terms, a degree is too high.
