@@ -161,7 +161,7 @@ def _flight_jvp(primals, tangents, *, dt, substeps, outputs, held):
     flown = _flight(system, start, inputs, dt=dt, substeps=substeps, outputs=outputs, held=held)
     t_inputs = {name: t for name, t in t_inputs.items() if t is not None}
     t_start = jnp.zeros_like(start) if t_start is None else t_start
-    path, *tangents = jax.tree.map(lambda y: y[None], (_Path(flown[0], flown[2], inputs, dt), t_start, t_inputs))
+    path, *tangents = jax.tree.map(lambda y: y[None], (_FlownPath(flown[0], flown[2], inputs, dt), t_start, t_inputs))
     along = tangent_flight(substeps, outputs, held)(system, path, t_system, *tangents)
     dx, dy = jax.tree.map(lambda y: y[0], along)
     return flown, (dx, dy, None)
@@ -202,7 +202,7 @@ def stage_table(substeps: int) -> tuple[Array, Array, Array, Array]:
     return shares, ahead, weights, last
 
 
-class _Path(NamedTuple):
+class _FlownPath(NamedTuple):
     """The path of w segments, along which derivatives are taken."""
 
     x: Float[Array, "w n s"]
@@ -249,7 +249,7 @@ def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
 
 
 def _along(
-    system: Any, path: _Path, towards: tuple[Any, Any, Any], substeps: int, outputs: tuple[str, ...], held: bool
+    system: Any, path: _FlownPath, towards: tuple[Any, Any, Any], substeps: int, outputs: tuple[str, ...], held: bool
 ) -> tuple[Float[Array, "w n s d"], dict[str, Float[Array, "w n d"]]]:
     """In d directions `towards`, of the system's numbers (..., d), the start (w, s, d) and inputs (w, n, d)."""
     x, inside, inputs, dt = path

@@ -187,7 +187,8 @@ def stall(card):
         phi=jnp.asarray(phi),
         beta=jnp.asarray(beta),
     )
-    return fly(model, values(), card.aircraft, p, state(95, np.deg2rad(6), np.deg2rad(6), h=5200), DT)
+    flight = fly(model, values(), card.aircraft, p, state(95, np.deg2rad(6), np.deg2rad(6), h=5200), DT)
+    return {name: jnp.asarray(x) for name, x in flight.items()}
 
 
 @pytest.mark.parametrize("degrees", [-30.0, 20.0, 45.0])
