@@ -170,8 +170,7 @@ def _one_segment(lin: LinearisedFilter, noise: Disturbances, dt: Any):
         ahead = jnp.where(autonomous, decayed * after, ahead)
         mean = Phi @ (mean + correction).at[:, 0].add(-after)
         mean = mean + jnp.concatenate([ahead[:, None], drive], axis=1)
-        P = Phi @ P @ Phi.T + kalman.discrete_noise(Phi, density, dt)
-        return (mean, 0.5 * (P + P.T)), (e, S)
+        return (mean, kalman.predicted_covariance(Phi, P, density, dt)), (e, S)
 
     begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1)
     rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.drive, lin.residual, lin.matrix, lin.direct)
@@ -349,7 +348,6 @@ def _rate(system: System, x: Array, u: Row) -> Array:
 
 
 def _at_stages(flown: SegmentTrajectories, drives: dict[str, Array]) -> dict[str, Array]:
-    """Inputs (w, n, ...) at every Runge-Kutta stage between the samples, (m, w, n, ...)."""
     first = {name: jnp.moveaxis(x, 1, -1) for name, x in drives.items()}
     then = {name: jnp.moveaxis(x, -1, 1) for name, x in later(first, flown.held).items()}
     return jax.vmap(lambda share: between(drives, then, share))(stage_table(flown.substeps)[0])
@@ -362,7 +360,6 @@ def observer_derivatives(lin: LinearisedFilter, by: Observer) -> Float[Array, "w
 
 
 def _observed(begin, *rows):
-    """The same in one segment, from the change of its initial state and rows of all samples."""
 
     def one_sample(dx, row):
         Phi, drive, C, direct, used, K = row

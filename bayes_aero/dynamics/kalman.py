@@ -315,7 +315,6 @@ def _log_likelihood_along(point: NoisePoint, flown: SegmentTrajectories, start_d
 
 
 def _linearise_along(system: System, rows: FilterInputs, F: Array, flown: SegmentTrajectories, path: _Path) -> _Local:
-    """Linearise all samples at once. The highest derivatives depend on the path only, not on the point."""
     dt = jnp.broadcast_to(rows.dt[:, None], path.before.shape[:2])
     over_samples = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
 

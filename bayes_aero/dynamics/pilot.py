@@ -549,7 +549,6 @@ def multisines(
 
 
 def _phases(k: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-    """Phases with a small peak: Schroeder's, then the phases of the clipped signal, again and again."""
     order = np.arange(len(k))
     phase = -np.pi * order * (order + 1) / len(k)
     angle = np.linspace(0.0, 2.0 * np.pi, GRID * int(k[-1]), endpoint=False)

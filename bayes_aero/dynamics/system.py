@@ -266,7 +266,6 @@ def _along(
     dynamic, static = eqx.partition(system, moved)
 
     def own(made):
-        """Derivatives of what is `made` (r,): by the state, by the system's numbers (p,), by inputs."""
 
         def at(x, u):
             def all_of(x, dynamic, inputs):
@@ -284,7 +283,6 @@ def _along(
     )
 
     def slopes(made, stages: slice):
-        """The same at these stages (m, w, n, r, ...): by the state, and in all directions otherwise."""
         wide = lambda y: y[stages].reshape(-1, *y.shape[3:])  # noqa: E731
         by_x, by_system, by_u = own(made)(wide(points), jax.tree.map(wide, u))
         direct = by_system @ numbers

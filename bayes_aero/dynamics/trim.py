@@ -124,7 +124,6 @@ def trimmed(model: Model, values: Values, aircraft: Aircraft, airspeed: float, a
 
 @eqx.filter_jit
 def _balance(model: Model, values: Any, aircraft: Aircraft, airspeed: Any, altitude: Any, *rows: Any):
-    """CL, CD and pitch acceleration in steady level flight at each alpha, thrust and further command of `rows`."""
     alpha, thrust, further = (jnp.asarray(row) for row in rows)
     shares, command = lead(model, values, aircraft, alpha, airspeed, altitude)
     controls = {name: share * (command + further) for name, share in zip(CONTROLS, shares, strict=True)}
@@ -428,7 +427,6 @@ def _lateral(found: Eigenmotions, states: Sequence[str]) -> list[MotionMode]:
 def _linearised(
     body: RigidBody, moving: tuple[str, ...], x: Mapping[str, Any], u: Mapping[str, Any]
 ) -> Float[Array, "s s"]:
-    """Derivative of the rates of the `moving` states by them, altitude and controls held."""
     start = body.complete_start(jnp.stack([jnp.asarray(x.get(name, 0.0), float) for name in body.start]), dict(u))
     places = jnp.array([body.start.index(n) for n in moving])
 

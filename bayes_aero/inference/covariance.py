@@ -155,7 +155,6 @@ class LinearFit:
 
     @cached_property
     def _state_covariance(self) -> Float[np.ndarray, "w s s"]:
-        """Covariance of the initial states at given parameters; zero where they are not fitted."""
         fitted = np.isfinite(self.precision)
         A = np.einsum("wncs,c,wnct->wst", self.own, 1.0 / self.R, self.own, optimize=True)
         A = A + np.diag(np.where(fitted, self.precision, 0.0))

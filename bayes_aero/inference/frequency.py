@@ -302,7 +302,6 @@ def frequency_responses(flights: Flights, dynamics: LinearDynamics, fit: Frequen
 def _measured(
     flights: Flights, u: Float[np.ndarray, "i n"], y: Float[np.ndarray, "o n"]
 ) -> tuple[Float[np.ndarray, " f"], Complex[np.ndarray, "f o i"], Float[np.ndarray, "f o i"], Float[np.ndarray, "f o"]]:
-    """Frequencies, responses with their standard errors, and the multiple coherence of each output."""
     dt = float(np.asarray(flights.channels["dt"])[0])
     size = min(round(SEGMENT / dt), min(flights.lengths) // 2)
     both, total = np.concatenate([u, y]), 0.0

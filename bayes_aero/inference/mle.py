@@ -280,7 +280,6 @@ class GaussNewtonPoint(NamedTuple):
 
 
 def _sensitivities(data: Data, theta: Float[Array, " k"]):
-    """Per coefficient the residual (n,) and the sensitivities S (k, n); and the separation point (n,)."""
     # One parameter at a time, so that JAX omits derivatives that are zero or constant; what the parameters share is
     # compiled once. Parameters come before samples, so that matrix products are contiguous.
     values = data.model.values(theta)

@@ -133,7 +133,6 @@ def given_scatter(
 def _normal(
     precision: Float[np.ndarray, "*s k k"], weighed: Float[np.ndarray, "*s k"], rng: np.random.Generator
 ) -> Float[np.ndarray, "*s k"]:
-    """Draws of normal distributions with these precisions and precision-weighted means."""
     upper = np.swapaxes(np.linalg.cholesky(precision), -1, -2)
     mean = np.linalg.solve(precision, weighed[..., None])
     return (mean + np.linalg.solve(upper, rng.standard_normal((*weighed.shape, 1))))[..., 0]

@@ -138,7 +138,6 @@ def _evaluate_held_gains(flown, path, point, start_deviation, k, s, means):
 
 
 def _scores(e, S, de, dS, used):
-    """Cost, gradient and expected information from innovations, their variances, and the derivatives of both."""
     weight = jnp.where(used, 1.0 / S, 0.0)
     cost = 0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
     gradient = jnp.einsum("wncj,wnc->j", de, e * weight)

@@ -390,7 +390,6 @@ def constrain_draws(density: LogDensity, u: Float[Array, "chain draw k"]) -> Flo
 
 @eqx.filter_jit
 def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m n c"]):
-    """Log-likelihood per sample and replicated coefficients for each row of x; both (m, n, c)."""
     return jax.lax.map(lambda pair: (density.pointwise(pair[0]), density.replicate(*pair)), (x, white))
 
 

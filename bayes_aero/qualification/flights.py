@@ -164,7 +164,6 @@ def further_flights(
     points, refused = (), {}
 
     def nats(information: Float[np.ndarray, "k k"]) -> float:
-        """Log of how many times the part by the parameters is narrowed, the sum of all tests that they leave open."""
         after = _after(first, information)
         moved = [one for one in useful if one.deviation(first) > 0.0]
         return float(np.sum(np.log([one.deviation(first) / max(one.deviation(after), 1e-300) for one in moved])))
