@@ -35,14 +35,12 @@ from bayes_aero.flight.checks import check_arrays, without_bad_options
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.calibration import pit_of
-from bayes_aero.inference.ensemble import density_start, other_modes, sample_ensemble, search_modes
 from bayes_aero.inference.frequency import coefficients_in_band
 from bayes_aero.inference.mle import fit_each_manoeuvre, fit_mle, without_noise_bias
-from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.pooled import check_manoeuvres
 from bayes_aero.inference.results import Identification, MleResult, Posterior
-from bayes_aero.inference.validation import SplitKind, Training, validate
+from bayes_aero.inference.sampling import density_start, other_modes, sample_ensemble, sample_nuts, search_modes
+from bayes_aero.inference.validation import SplitKind, Training, pit_of, validate
 from bayes_aero.jobs.check import RecordChecks, record_checks, repaired
 from bayes_aero.jobs.identify import pooled_manoeuvres
 from bayes_aero.jobs.options import FormingName, NoiseName

@@ -16,10 +16,9 @@ import numpy as np
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.gp import gaussian_parts
-from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling
-from bayes_aero.inference.gp.optimum import curvature, find_map, maximise
+from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling, curvature, find_map, maximise
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.results import score
 from bayes_aero.inference.validation import gp_inputs, make_splits
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe

@@ -35,9 +35,9 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.ensemble import EnsembleLength, density_start, find_mode, sample_ensemble
 from bayes_aero.inference.frequency import coefficients_in_band
 from bayes_aero.inference.mle import fit_mle, without_noise_bias
+from bayes_aero.inference.sampling import EnsembleLength, density_start, find_mode, sample_ensemble
 from bayes_aero.jobs.fly import fly
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT, Colour, Density, Noise

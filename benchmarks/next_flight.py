@@ -23,8 +23,8 @@ from calibration import band_of, rank
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.inference.nuts import NutsLength, WarmUp
 from bayes_aero.inference.pooled import SCATTER, Hierarchy, from_prior_units, next_flight, pool, to_prior_units
+from bayes_aero.inference.sampling import NutsLength, WarmUp
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT, Density, Noise
 from bayes_aero.model.observations import Observations, observe

@@ -19,8 +19,7 @@ import scipy.io
 
 from bayes_aero.diagnosis.result import Setting
 from bayes_aero.diagnosis.trajectories import fit_trajectories
-from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.flight import aircraft_dynamics, linear_dynamics
 from bayes_aero.flight.card import channel_units, read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading import read_record

@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.diagnosis.flights import FlightNoise, posterior_draws
-from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.flight import linear_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.flight.card import Card, parse_card
 from bayes_aero.flight.record import FlightRecord

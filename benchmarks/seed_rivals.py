@@ -35,10 +35,12 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.selection_state import moved, optimum
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
+from bayes_aero.inference.covariance import log_density
 from bayes_aero.inference.gp import fit_gp
 from bayes_aero.inference.gp.kernel import Priors
+from bayes_aero.inference.gp.posterior import Budget
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.inference.scores import log_density, score
+from bayes_aero.inference.results import score
 from bayes_aero.inference.validation import KINDS, SplitKind, make_splits
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
@@ -276,8 +278,8 @@ def process(flights: Flights, problem: Problem, seed: int, sample: bool) -> Gues
     means, sds, ended = [], [], []
     for c, name in enumerate(NAMES):
         fit = fit_gp(
-            problem.inputs[problem.train], problem.measured[problem.train, c], input_names=flights.card.gp_inputs,
-            output_name=name, priors=Priors.quasi_steady(), sample=sample, seed=seed, progress=lambda _: None,
+            problem.inputs[problem.train], problem.measured[problem.train, c], names=(*flights.card.gp_inputs, name),
+            priors=Priors.quasi_steady(), sample=sample, budget=Budget(seed=seed), progress=lambda _: None,
         )  # fmt: skip
         there = fit.predict(problem.inputs)
         means.append(there.mean)

@@ -4,7 +4,7 @@ import numpy as np
 
 from bayes_aero.diagnosis.result import Error, SimulatedManoeuvre, Trajectories, TrajectoryEstimates, theil_parts
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.inference.results import OutputErrorStatus
 
 
 def halves(record: FlightRecord) -> Trajectories:

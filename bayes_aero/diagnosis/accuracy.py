@@ -24,7 +24,8 @@ from bayes_aero.diagnosis.selection_state import (
 )
 from bayes_aero.effect import Effect
 from bayes_aero.flight.health.finding import noise_of
-from bayes_aero.inference.scores import Scores, log_density, log_score_gain, log_score_gains, score
+from bayes_aero.inference.covariance import log_density, log_score_gain, log_score_gains
+from bayes_aero.inference.results import Scores, score
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
 

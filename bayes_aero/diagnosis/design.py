@@ -22,6 +22,7 @@ from bayes_aero.diagnosis.result import TestPoint
 from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.selection_state import SelectionState, inverse, linearised
 from bayes_aero.dynamics.pilot import ANYWHERE, EXCITED_CHANNELS, LATERAL_EXCITED_CHANNELS, fly_standard
+from bayes_aero.dynamics.trim import Condition
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model
@@ -365,7 +366,7 @@ def standard(
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
     made, seconds, refused = fly_standard(
-        small, values, aircraft, **start, dt=dt, amplitude=amplitude, envelope=envelope
+        small, values, aircraft, Condition(**start), dt=dt, amplitude=amplitude, envelope=envelope
     )
     moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
     unseen = {n: moved[n] for n in made if n in moved and moved[n] not in flights.recorded}

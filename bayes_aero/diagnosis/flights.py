@@ -32,21 +32,27 @@ from bayes_aero.dynamics.innovations import neighbour_correlation, prediction_er
 from bayes_aero.dynamics.kalman import smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.inference.calibration import one_step
 from bayes_aero.inference.covariance import corrected_covariance, median_inflation, variance_inflation
-from bayes_aero.inference.nuts import sample_innovations
 from bayes_aero.inference.optimise import solve
-from bayes_aero.inference.output_error import SeparatedFlow, fit_disturbed, fit_output_error, one_by_one, trajectories
-from bayes_aero.inference.output_error_result import (
+from bayes_aero.inference.output_error import (
     THINNING,
     NormalEquations,
     OutputErrorResult,
-    OutputErrorStatus,
     Point,
+    SeparatedFlow,
+    fit_output_error,
+    one_by_one,
     segment_equations,
+    trajectories,
 )
-from bayes_aero.inference.prediction_error import PredictionErrorResult, PredictionErrorStatus
-from bayes_aero.inference.results import Posterior
+from bayes_aero.inference.prediction_error import (
+    PredictionErrorResult,
+    PredictionErrorStatus,
+    fit_disturbed,
+    sample_innovations,
+)
+from bayes_aero.inference.results import OutputErrorStatus, Posterior
+from bayes_aero.inference.validation import one_step
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import departure

@@ -14,8 +14,7 @@ from jaxtyping import Float, Int
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.reading import RecordReport
-from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, Stall
-from bayes_aero.inference.scores import COLOURED_INNOVATIONS, OneStep, Scores
+from bayes_aero.inference.results import COLOURED_INNOVATIONS, FrequencyFit, FrequencyResponse, OneStep, Scores, Stall
 from bayes_aero.parameter import Parameter
 from bayes_aero.physics.aircraft import Aircraft
 

@@ -39,9 +39,9 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import nats
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.inference.output_error import fit_cascade, fit_disturbed, fit_output_error
-from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
-from bayes_aero.inference.prediction_error import PredictionErrorResult, PredictionErrorStatus
+from bayes_aero.inference.output_error import OutputErrorResult, fit_cascade, fit_output_error
+from bayes_aero.inference.prediction_error import PredictionErrorResult, PredictionErrorStatus, fit_disturbed
+from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Flights

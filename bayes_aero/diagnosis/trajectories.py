@@ -48,18 +48,29 @@ from bayes_aero.diagnosis.result import (
     TrajectoryFit,
     verdict_of,
 )
-from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics, biased_dynamics, unbiased
-from bayes_aero.dynamics.linear import Steady, modes
-from bayes_aero.dynamics.path import PathDynamics
+from bayes_aero.dynamics.flight import (
+    AircraftDynamics,
+    Dynamics,
+    PathDynamics,
+    aircraft_dynamics,
+    biased_dynamics,
+    unbiased,
+)
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
+from bayes_aero.dynamics.trim import Steady, modes
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import channels_of
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
-from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus, initial_state_sd
-from bayes_aero.inference.results import CONFLICT_LIMIT, MleResult, MleStatus
+from bayes_aero.inference.output_error import (
+    OutputErrorResult,
+    fit_cascade,
+    fit_output_error,
+    initial_state_sd,
+    trajectories,
+)
+from bayes_aero.inference.results import CONFLICT_LIMIT, MleResult, MleStatus, OutputErrorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior

@@ -25,7 +25,16 @@ from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import FLIGHT, RIGID, Aircraft, Axis, air
 from bayes_aero.physics.coefficients import AircraftMotion, accelerometers, motion_of_aircraft
 from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.physics.kinematics import RATES, Attitude, Rotation, down_of, euler_rates, lever_arm
+from bayes_aero.physics.kinematics import (
+    RATES,
+    Attitude,
+    Rotation,
+    down_of,
+    euler_rates,
+    lateral_motion,
+    lever_arm,
+    motion_of_path,
+)
 
 # --- Prescribed motion of an aircraft as recorded, and the outputs of its simulation.
 
@@ -55,7 +64,6 @@ def recorded_drives(
 
 
 def _slope(x: Array, flights: Flights) -> Array:
-    """Derivative of the smoothed channel, manoeuvre by manoeuvre."""
     begin, parts = 0, []
     for length in flights.lengths:
         part = slice(begin, begin + length)
@@ -117,6 +125,31 @@ class InGusts(System):
         return list(decay.values()), jax.jvp(alpha, (gusts,), (decay,))[1] if gusts else jnp.zeros_like(s["alpha"])
 
 
+class FlightPath(InGusts):
+    """Motion from accelerometers and gyros; `named` are its states without gusts."""
+
+    named: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return (*self.named, *(d.state for d in self.model.disturbances))
+
+    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
+        s = dict(u) | dict(zip(self.states, x, strict=True))
+        return s | self.model.inflow(self.values, s, self.aircraft)
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        state = dict(zip(self.states, x, strict=True))
+        s, flow = dict(u) | state, self.flow_signals(x, u)
+        force = (u["force_x"], u["force_y"], u["force_z"])
+        rates = motion_of_path(s, force) | lateral_motion(s, force)
+        rates["psi"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
+        decay, _ = self.mean_gust_rates(state, flow)
+        return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {
+            n: flow[n] for n in FLOW if n in state
+        }
+
+
 # --- Common part of the aircraft models in three and six degrees of freedom: signals, flow, separation.
 
 POINTS = ("X", "X_right", "X_left")  # states of separation points: of the whole wing, or of either one
@@ -124,19 +157,16 @@ MIN_LAG = 0.2  # chords: some hundredth of a second, still resolved by the fines
 
 
 class EffectSystem(InGusts):
-    """An aircraft with its model at given parameter values; lagged separation points are the last states. `altitude`:
-    whether it is a state. It must be one where density was not recorded, which is then the standard atmosphere's."""
+    """An aircraft with its model at given parameter values; without `altitude` among the states density is an input."""
 
     altitude: bool = eqx.field(static=True, default=True)
 
     @property
     def envelope(self) -> Mapping[str, tuple[float, float]]:
-        """Bounds far beyond any flight."""
         return ENVELOPE
 
     @property
     def lagged(self) -> bool:
-        """Whether the separation point is a state."""
         return any(e.stage is Stage.LAG for e in self.model.acting)
 
     @property
@@ -155,12 +185,10 @@ class EffectSystem(InGusts):
 
     @property
     def after(self) -> tuple[str, ...]:
-        """States after the flight states: altitude, gusts, and lagged separation points."""
         gusts = tuple(d.state for d in self.model.disturbances)
         return (*(("altitude",) if self.altitude else ()), *gusts, *self.points)
 
     def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
-        """The state by name, with the motion that it represents."""
         return dict(zip(self.states, x, strict=True))
 
     def complete_start(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
@@ -240,10 +268,7 @@ def held_states(axes: Iterable[Axis], more: Iterable[str] = ()) -> tuple[str, ..
 
 
 class RigidBody(EffectSystem):
-    """The aircraft in six degrees of freedom; without `heading` the heading starts at zero and is no output. The states
-    of attitude are Euler angles where one of them is `held`, or with `euler`, so that a filter can correct measured
-    states. They are singular at 90 deg of pitch. The outputs bank and heading are within half a turn of the inputs
-    `near_phi` and `near_psi`, where there are any."""
+    """The aircraft in six degrees of freedom; without `heading` the heading starts at zero and is no output."""
 
     held: tuple[str, ...] = eqx.field(static=True, default=())
     heading: bool = eqx.field(static=True, default=True)
@@ -251,12 +276,10 @@ class RigidBody(EffectSystem):
 
     @property
     def by_angles(self) -> bool:
-        """Whether the states of attitude are Euler angles."""
         return self.euler or "phi" in self.held or "theta" in self.held
 
     @property
     def angles(self) -> tuple[str, ...]:
-        """Simulated angles of attitude."""
         return tuple(n for n in ANGLES if n not in self.held and (n != "psi" or self.heading))
 
     @property
@@ -270,7 +293,6 @@ class RigidBody(EffectSystem):
 
     @property
     def state_outputs(self) -> tuple[str, ...]:
-        """States that sensors measure directly; bank and heading are computed to the turn."""
         computed = (*QUATERNION, "phi", "psi")
         return tuple(name for name in super().state_outputs if name not in computed)
 
@@ -283,7 +305,6 @@ class RigidBody(EffectSystem):
         return jnp.stack([given[name] for name in self.states])
 
     def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
-        """The state by name, with bank, pitch, heading and the direction of gravity."""
         state = super().named(x)
         if self.by_angles:
             return state
@@ -292,15 +313,14 @@ class RigidBody(EffectSystem):
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
         now, s, path, after = self.motion_now(x, u, self.model.axes, self.held)
-        changing = dict(now.rates) | dict(zip(RATES, now.rotation, strict=True))
-        derivative = [changing[name] for name in RIGID if name not in self.held]
         rates = (path["p"], path["q"], path["r"])
+        changing = dict(now.rates) | dict(zip(RATES, now.rotation, strict=True))
         if self.by_angles:
-            turned = euler_rates(rates, path["phi"], path["theta"])
-            derivative += [turned[ANGLES.index(name)] for name in self.angles]
+            changing |= dict(zip(ANGLES, euler_rates(rates, path["phi"], path["theta"]), strict=True))
         else:
-            first = self.states.index(QUATERNION[0])
-            derivative += Attitude(*(x[first + i] for i in range(4))).turned(rates)
+            attitude = Attitude(*(x[self.states.index(name)] for name in QUATERNION))
+            changing |= dict(zip(QUATERNION, attitude.turned(rates), strict=True))
+        derivative = [changing[name] for name in self.states[: len(self.states) - len(after)]]
         accelerations = {f"{n}_dot": x for n, x in zip(RATES, now.rotation, strict=True)}
         outputs = accelerometers(now, path, self.aircraft) | accelerations | {"alpha_dot": s["alpha_dot"]}
         outputs |= {n: s[n] for n in (*RIGID, "theta", "altitude") if n in s}
@@ -321,18 +341,15 @@ class RigidBody(EffectSystem):
 LATERAL = ("p", "r", "p_dot", "r_dot", "beta", "phi", "ay")  # zero where they were not recorded
 
 
-class Longitudinal(EffectSystem):
+class Longitudinal(RigidBody):
     """The aircraft in its plane of symmetry."""
+
+    held: tuple[str, ...] = eqx.field(static=True, default=HELD[Axis.LATERAL])
 
     @property
     def states(self) -> tuple[str, ...]:
         return (*FLIGHT, *self.after)
 
-    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        now, s, path, after = self.motion_now(x, u, (Axis.LONGITUDINAL,), ("p", "r"))
-        pitching = euler_rates(tuple(path[n] for n in RATES), path["phi"], path["theta"])[1]  # type: ignore[arg-type]
-        derivative = [now.rates["airspeed"], now.rates["alpha"], pitching, now.q_dot, *after]
-        outputs = self.named(x) | {name: s[name] for name in ("airspeed", "alpha", "alpha_dot")}
-        force = accelerometers(now, path, self.aircraft)
-        outputs |= {"ax": force["ax"], "az": force["az"], "q_dot": now.q_dot}
-        return jnp.stack(derivative), outputs | {name: now.flow[name] for name in ("X", "CL", "CD", "Cm")}
+    @property
+    def start(self) -> tuple[str, ...]:
+        return self.states

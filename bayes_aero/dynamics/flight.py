@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.aircraft import (
     ANGLES,
@@ -19,20 +19,28 @@ from bayes_aero.dynamics.aircraft import (
     MIN_LAG,
     SIDE,
     EffectSystem,
+    FlightPath,
     Longitudinal,
     RigidBody,
     held_states,
     recorded_drives,
 )
-from bayes_aero.dynamics.system import OfPlain, System
+from bayes_aero.dynamics.system import LinearSystem, OfPlain, System
 from bayes_aero.effect import Stage
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card, channel_units
+from bayes_aero.flight.card_tables import ONE, LinearCard
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.model.model import Model
+from bayes_aero.flight.health.readings import dead_heading
+from bayes_aero.model.model import Model, as_on_card
 from bayes_aero.model.observations import response_scales
 from bayes_aero.model.records import Flights
-from bayes_aero.parameter import Parameter, Prior, Role
+from bayes_aero.parameter import Limits, Parameter, Prior, Role, Sign
+from bayes_aero.physics import kinematics
 from bayes_aero.physics.aircraft import FORCES, NO_AIRCRAFT, RIGID, Aircraft, Axis, needed_channels
+from bayes_aero.physics.filters import differentiate_joined, smooth_joined
+from bayes_aero.units import si_unit
 
 Values = Mapping[str, Any]
 OUTPUTS = ("airspeed", "alpha", "theta", "q", "altitude", "ax", "az")
@@ -135,11 +143,9 @@ class EffectDynamics(Dynamics):
 
     @property
     def meets_gusts(self) -> bool:
-        """Whether airspeed and alpha, which gusts change, are simulated."""
         return True
 
     def for_filter(self) -> EffectDynamics:
-        """The same with measured states, which a filter can correct."""
         return self
 
     @property
@@ -165,8 +171,7 @@ class EffectDynamics(Dynamics):
 
 @dataclass(frozen=True)
 class AircraftDynamics(EffectDynamics):
-    """Motion of an aircraft under a model of effects. A model with the lateral axis has six degrees of freedom. A model
-    without it has three, and its lateral motion is prescribed as recorded."""
+    """An aircraft under a model of effects: six degrees of freedom with the lateral axis, three without."""
 
     altitude: bool = True  # whether it is a state
     further: tuple[str, ...] = ()  # outputs of `ON_REQUEST`
@@ -180,7 +185,6 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def rigid(self) -> bool:
-        """Whether it has six degrees of freedom; else it moves in the plane of symmetry."""
         return bool(self.held) or Axis.LATERAL in self.model.axes
 
     @cached_property
@@ -197,7 +201,6 @@ class AircraftDynamics(EffectDynamics):
 
     @cached_property
     def prescribed(self) -> tuple[str, ...]:
-        """States of a rigid body that are prescribed as recorded."""
         return held_states(self.model.axes, self.held) if self.rigid else ()
 
     @property
@@ -225,7 +228,6 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """The separation point, with which the noise grows."""
         return ("X",)
 
     def values(self, theta: Any) -> dict[str, Any]:
@@ -238,8 +240,7 @@ class AircraftDynamics(EffectDynamics):
         return RigidBody(self.model, dict(values), actual, self.altitude, self.prescribed, self.heading, self.euler)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
-        """Prescribed channels, with the derivatives that the effects read. Without `ay` also the rate of sideslip, if
-        p, r and phi are known: the lateral force follows from these."""
+        """Prescribed channels, derivatives; without `ay` the rate of sideslip, which gives the lateral force."""
         held, read = (self.prescribed, ENGINES) if self.rigid else ((*LATERAL, "psi"), (*LATERAL, "thrust"))
         return recorded_drives(self.model.axes, held, (*self.inputs, *read), channels, flights)
 
@@ -254,8 +255,7 @@ class AircraftDynamics(EffectDynamics):
 def aircraft_dynamics(
     model: Model, flights: Flights, outputs: Sequence[str] = (), held: Sequence[str] | None = None
 ) -> AircraftDynamics:
-    """The dynamics of a model for the recorded channels of these flights, with `outputs` of `ON_REQUEST`. States that
-    are `held` (default: by the card) are prescribed as recorded. Raises `InputError` for missing channels."""
+    """The dynamics of a model for these flights, with `outputs` of `ON_REQUEST`; `held`: default, by the card."""
     held = flights.held if held is None else tuple(held)
     prescribed = held_states(model.axes, held)
     rigid = bool(held) or Axis.LATERAL in model.axes
@@ -291,6 +291,20 @@ def taken_as_zero(flights: Flights) -> list[str]:
     return [*missing, "ay"] if missing and slips and "ay" not in flights.channels else missing
 
 
+# --- Parameters that have a value for each manoeuvre.
+
+
+def of_each(name: str, manoeuvres: int) -> list[str]:
+    """Their names, in the order of the manoeuvres."""
+    return [f"{name}_{k + 1}" for k in range(manoeuvres)]
+
+
+def along_each(values: Values, name: str, lengths: Sequence[int]) -> Array:
+    """Their values at every sample of manoeuvres of these lengths, (n,)."""
+    sizes = jnp.stack([values[n] for n in of_each(name, len(lengths))])
+    return sizes[np.repeat(np.arange(len(lengths)), lengths)]
+
+
 # --- Constant errors of recorded outputs, one for each manoeuvre, estimated together with the initial states.
 
 
@@ -317,27 +331,22 @@ class BiasedDynamics(Dynamics):
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """Those of the dynamics, then the biases, output by output."""
         unit = lambda output: STANDARD_CHANNELS[output].unit if output in STANDARD_CHANNELS else "SI"  # noqa: E731
         biases = [
-            Parameter(_name(output, k), unit(output), 0.0, 0.0, f"bias of recorded {output}, manoeuvre {k + 1}", prior)
+            Parameter(name, unit(output), 0.0, 0.0, f"bias of recorded {output}, manoeuvre {k + 1}", prior)
             for output, prior in self.biased
-            for k in range(len(self.lengths))
+            for k, name in enumerate(of_each(f"bias_{output}", len(self.lengths)))
         ]
         return (*self.plain.free, *biases)
 
     def values(self, theta: Any) -> dict[str, Any]:
-        """Values of the dynamics, and the biases."""
         k = len(self.plain.free)
         return self.plain.values(theta[:k]) | {name: theta[i] for i, name in enumerate(self.names) if i >= k}
 
     def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
         """The corrected record without its biases, from which the measured initial state is also taken."""
-        unbiased = dict(channels)
-        for name, _ in self.biased:
-            sizes = jnp.stack([values[_name(name, k)] for k in range(len(self.lengths))])
-            unbiased[name] = channels[name] - sizes[np.repeat(np.arange(len(self.lengths)), self.lengths)]
-        return self.plain.corrected(values, unbiased, aircraft)
+        unbiased = {n: channels[n] - along_each(values, f"bias_{n}", self.lengths) for n, _ in self.biased}
+        return self.plain.corrected(values, {**channels, **unbiased}, aircraft)
 
 
 def biased_dynamics(dynamics: Dynamics, flights: Flights, priors: Mapping[str, Prior]) -> Dynamics:
@@ -361,5 +370,262 @@ def with_biases_of(other: Dynamics, plain: Dynamics) -> Dynamics:
     return replace(other, plain=plain) if isinstance(other, BiasedDynamics) else plain
 
 
-def _name(output: str, manoeuvre: int) -> str:
-    return f"bias_{output}_{manoeuvre + 1}"
+# --- The flight path of recorded accelerations and rates: kinematics without aerodynamics.
+# States are what other sensors measure: airspeed, alpha, theta, as far as recorded beta, phi, psi, altitude; and gusts.
+# Inputs are the accelerometers and gyros. Sensor errors are effects that correct the record. Source: Klein and Morelli,
+# *Aircraft System Identification*, 2006, ch. 10; Mulder et al. 1999, Prog. Aerosp. Sci. 35, 591.
+
+INERTIAL = frozenset(("ax", "ay", "az", "p", "q", "r"))
+JUMP = 0.2  # rad from sample to sample: faster than any aircraft turns
+PATH_FORCES = ("force_x", "force_y", "force_z")  # specific force at the centre of gravity
+
+
+@dataclass(frozen=True)
+class PathDynamics(EffectDynamics):
+    """The flight path under a model of sensor errors and of gusts."""
+
+    named: tuple[str, ...]
+    lengths: tuple[int, ...]  # samples of the manoeuvres
+    own: tuple[str, ...] = ()  # parameters with a value for each, of effects that act sample by sample
+
+    @cached_property
+    def free(self) -> tuple[Parameter, ...]:
+        several = len(self.lengths) > 1
+        common = [p for p in self.model.free if not (several and p.name in self.own)]
+        each = [p for p in self.model.free if several and p.name in self.own]
+        by_manoeuvre = [replace(p, name=name) for p in each for name in of_each(p.name, len(self.lengths))]
+        return (*common, *by_manoeuvre)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return FlightPath(self.model, {}, NO_AIRCRAFT, self.named).states
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        return ("ax", "az", "q")
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        return self.named
+
+    def values(self, theta: Any) -> dict[str, Any]:
+        found = dict(self.model.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
+        several = [n for n in self.own if f"{n}_1" in found]
+        return found | {name: along_each(found, name, self.lengths) for name in several}
+
+    def system(self, values: Values, aircraft: Aircraft) -> System:
+        kept = {n: values[n] for n in self.disturbance_parameters | {d.intensity for d in self.model.disturbances}}
+        return FlightPath(self.model, kept, aircraft, self.named)
+
+    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
+        """Errors of accelerometers and gyros first: a vane away from the centre of gravity senses the true rates."""
+        for part in self._in_order:
+            channels = part.corrected(values, channels, aircraft)
+        return channels
+
+    @cached_property
+    def _in_order(self) -> list[Model]:
+        inertial = [e for e in self.model.effects if set(e.channels) <= INERTIAL]
+        rest = [e for e in self.model.effects if e not in inertial]
+        return [Model.of(part, axes=tuple(Axis)) for part in (inertial, rest)]
+
+    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+        """Specific force at the centre of gravity, rates, and prescribed quantities of the path."""
+        true = kinematics.as_symmetric(channels)
+        ends = [channels[name] for name in ("dt", "first", "last")]
+        slope = lambda x: differentiate_joined(smooth_joined(x, *ends[1:]), *ends)  # noqa: E731
+        p, q, r = (true[name] for name in kinematics.RATES)
+        turning = kinematics.Rotation(p, q, r, *(slope(x) for x in (p, q, r)))
+        arm = kinematics.lever_arm(turning, flights.aircraft.accelerometer)
+        force = {n: true[a] - x for n, a, x in zip(PATH_FORCES, ("ax", "ay", "az"), arm, strict=True)}
+        made = {*self.named, "ay", *kinematics.RATES}
+        given = (*kinematics.RATES, *(name for name in kinematics.STRAIGHT if name not in made))
+        return force | {name: true[name] for name in given}
+
+
+def path_states(flights: Flights) -> tuple[str, ...]:
+    """Recorded quantities of the flight path; none where it cannot be integrated."""
+    outputs = kinematics.path_outputs({name: np.asarray(x) for name, x in flights.channels.items()})
+    return (*outputs, *(("psi",) if "phi" in outputs and heading(flights) is not None else ()))
+
+
+def heading(flights: Flights) -> Float[np.ndarray, " n"] | None:
+    """The heading without jumps of a half or full turn; None where not recorded, jumping, or at rest in a turn."""
+    if "psi" not in flights.channels:
+        return None
+    ends = np.cumsum(flights.lengths)[:-1]
+    turned = [np.unwrap(part, period=np.pi) for part in np.split(np.asarray(flights.channels["psi"]), ends)]
+    if any(np.max(np.abs(np.diff(part))) > JUMP for part in turned):
+        return None
+    if {"phi", "theta", "q", "r"} <= set(flights.channels):
+        seen = {"time": flights.time} | {name: flights.channels[name] for name in ("phi", "theta", "q", "r")}
+        views = zip(*(np.split(np.asarray(x), ends) for x in seen.values()), turned, strict=True)
+        if any(dead_heading(dict(zip((*seen, "psi"), view, strict=True))) for view in views):
+            return None
+    return np.concatenate(turned)
+
+
+# --- Sensor errors that a flight-path reconstruction estimates: those of the catalogue that the recorded channels
+# show.
+
+COMMON = (  # errors of an installation, equal in all manoeuvres
+    "vane_position", "alpha_scale", "alpha_bias", "alpha_delay", "sideslip_vane_position", "sideslip_vane_height",
+    "sideslip_scale", "sideslip_bias", "sideslip_delay", "airspeed_scale", "airspeed_bias", "pitot_pressure_bias",
+    "pitch_attitude_bias", "bank_angle_bias",
+)  # fmt: skip
+OWN = (  # errors that drift from one manoeuvre to the next, and the wind
+    "accel_x_bias", "accel_y_bias", "accel_z_bias", "roll_rate_bias", "pitch_rate_bias", "yaw_rate_bias",
+    "vertical_wind",
+)  # fmt: skip
+SHOWN_BY = dict.fromkeys(  # for errors of lateral sensors, the state that depends on them
+    ("sideslip_vane_position", "sideslip_vane_height", "sideslip_scale", "sideslip_bias", "sideslip_delay",
+     "accel_y_bias", "yaw_rate_bias"), "beta"
+) | {"bank_angle_bias": "phi", "roll_rate_bias": "phi"}  # fmt: skip
+MARKS = {"dt", "start", "first", "last", "elapsed"}
+
+
+def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
+    """The flights, their heading without jumps, and their flight path with the possible errors of their sensors."""
+    states = path_states(flights)
+    recorded = {*flights.recorded, *MARKS}
+    shown = [name for name in (*COMMON, *OWN) if SHOWN_BY.get(name, states[0]) in states]
+    chosen = [name for name in shown if set(CATALOGUE[name].channels) <= recorded]
+    model = Model.of(chosen, axes=tuple(Axis))  # the path depends on all axes
+    if card.linear is None:
+        stated = Model.from_card(card)
+        errors = [e for e in stated.effects if e.stage is Stage.CHANNEL]
+        names = {p.name for e in errors for p in e.parameters}
+        stated_parameters = {p.name: p for p in stated.parameters if p.name in names}
+        fixed = {name: value for name, value in stated.fixed if name in names}
+        model = Model.of((*errors, *(e for e in model.effects if e not in errors)), fixed, model.axes)
+        model = replace(model, parameters=tuple(stated_parameters.get(p.name, p) for p in model.parameters))
+    own = tuple(p.name for name in OWN if name in chosen for p in CATALOGUE[name].parameters)
+    if "psi" in states:
+        turned = flights.channels | {"psi": jnp.asarray(heading(flights))}
+        flights = replace(flights, channels=turned)
+    return flights, PathDynamics(model, states, flights.lengths, own)
+
+
+# --- Linear state-space models in dimensional derivatives: short period, lateral motion, or any other rows of a card.
+# Channels are total values, not deviations from trim, so each row has a constant where it needs one.
+
+FLAT_SD = 1000.0  # SI: larger than any derivative of an aircraft, also az per alpha of a fighter
+ALIKE = {  # the effect whose sign and limits a derivative of a rate has: inertia and dynamic pressure are positive
+    ("p", "aileron"): "aileron_roll", ("p", "p"): "roll_damping", ("p", "beta"): "sideslip_roll",
+    ("q", "elevator"): "elevator_moment", ("q", "q"): "pitch_damping",
+    ("r", "rudder"): "rudder_yaw", ("r", "r"): "yaw_damping", ("r", "beta"): "sideslip_yaw",
+}  # fmt: skip
+PART_OF = {"aileron_right": ("aileron", 1.0), "aileron_left": ("aileron", -1.0)}
+"""Half of right less left is the aileron."""
+FLAT = Prior("normal", 0.0, FLAT_SD, "flat in effect; our choice")
+
+
+@dataclass(frozen=True)
+class LinearDynamics(Dynamics):
+    """A card's linear rows with their parameters; `fixed` parameters keep their value, the others are free. A constant
+    that differs between manoeuvres has a parameter for each of them and is an input of the system."""
+
+    rows: LinearCard
+    parameters: tuple[Parameter, ...]
+    named: tuple[tuple[str, str], ...] = ()
+    lengths: tuple[int, ...] = (1,)  # samples of the manoeuvres
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        return dict(self.named)
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        return dict(self.rows.fixed)
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        free = [p for p in self.parameters if p.name not in self.fixed]
+        many = {name: of_each(name, len(self.lengths)) for name in self.rows.by_manoeuvre}
+        return tuple(replace(p, name=name) for p in free for name in many.get(p.name, [p.name]))
+
+    @property
+    def flat(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.free if p.prior == FLAT)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return self.rows.states
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        return self.rows.inputs
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.rows.states, *self.rows.outputs)))
+
+    def values(self, theta: Any) -> dict[str, Any]:
+        return self.fixed | {name: theta[i] for i, name in enumerate(self.names)}
+
+    def system(self, values: Values, aircraft: Aircraft) -> System:  # noqa: ARG002
+        own = self.rows.by_manoeuvre
+        inputs_read = (*self.inputs, *own)
+        columns = (*self.states, *inputs_read, ONE)
+        terms = [(i, t) for i, (_, row) in enumerate(self.rows.rows) for t in row]
+        across = [columns.index(t.parameter if t.parameter in own else t.channel) for _, t in terms]
+        sizes = [t.factor * (1.0 if t.parameter in own else values[t.parameter]) for _, t in terms]
+        entries = jnp.stack([jnp.asarray(size, float) for size in sizes])
+        places = jnp.array([i for i, _ in terms]), jnp.array(across)
+        matrix = jnp.zeros((len(self.rows.rows), len(columns))).at[places].add(entries)
+        return LinearSystem(matrix, self.states, inputs_read, self.rows.outputs)
+
+    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+        """Recorded inputs, and a constant, which gives the number of samples where there are no inputs."""
+        own = {name: along_each(values, name, self.lengths) for name in self.rows.by_manoeuvre}
+        return {name: channels[name] for name in self.inputs} | own | {ONE: jnp.ones_like(channels["dt"])}
+
+    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
+        return {output: parameter for output, parameter in self.rows.delays if output in outputs}
+
+    def names_of(self, name: str) -> list[str]:
+        return of_each(name, len(self.lengths))
+
+
+def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynamics:
+    """The linear system of a card, with its starting values, bounds and priors. `lengths` are the samples of the
+    manoeuvres, for constants that differ between them."""
+    if card.linear is None:
+        raise InputError(f"card {card.name} has no section [linear]; add it, or use its [model]")
+    units = channel_units(card)
+    parameters = []
+    for name in card.linear.parameters:
+        unit, text = _meaning(name, card.linear, units)
+        parameter = replace(Parameter(name, unit, 0.0, 0.0, text, FLAT), **_sign_or_limits(name, card.linear))
+        parameters.append(as_on_card(parameter, card))
+    named = tuple((name, units[name]) for name in card.linear.states)
+    return LinearDynamics(card.linear, tuple(parameters), named, lengths)
+
+
+def _sign_or_limits(name: str, rows: LinearCard) -> dict[str, Sign | Limits]:
+    for state, terms in zip(rows.states, rows.rates, strict=True):
+        for term in terms:
+            channel, half = PART_OF.get(term.channel, (term.channel, 1.0))
+            if term.parameter == name and (state, channel) in ALIKE:
+                like = CATALOGUE[ALIKE[state, channel]].parameters[0]
+                side = 1 if half * term.factor > 0.0 else -1
+                if like.sign is not None:
+                    return {"sign": replace(like.sign, side=side * like.sign.side, channel=term.channel)}
+                if like.limits is not None and side > 0:
+                    return {"limits": like.limits}
+    return {}
+
+
+def _meaning(name: str, rows: LinearCard, units: Mapping[str, str]) -> tuple[str, str]:
+    for output, parameter in rows.delays:
+        if parameter == name:
+            return "s", f"delay of recorded {output}"
+    for index, (row, terms) in enumerate(rows.rows):
+        for term in terms:
+            if term.parameter == name:
+                rate = index < len(rows.states)
+                unit = f"({units[row]}){'/s' if rate else ''}/({units[term.channel]})"
+                per = "constant part" if term.channel == ONE else f"per {term.channel}"
+                unit = si_unit(unit.replace("/(1)", "").replace("(1)", "1")).replace("**", "^")
+                return unit, f"{'rate of ' if rate else ''}{row}, {per}"
+    raise KeyError(name)

@@ -38,9 +38,7 @@ def filter_segments(
     F: Float[Array, " s"],
     R: Float[Array, " c"],
 ) -> kalman.Filtered:
-    """Every segment by the extended Kalman filter, from its measured initial state; (w, ...) in front of every array.
-    `start_deviation`: standard deviation of that state, SI; `R`: variances of the measurement noise in attached
-    flow."""
+    """Every segment by the extended Kalman filter, from its measured initial state; `R` of attached flow."""
     prepared = prepare(flown, theta)
     each = jax.vmap(lambda rows: kalman.kalman_filter(prepared.sensed, rows, F, flown.outputs, flown.substeps))
     return each(kalman.filter_inputs(flown, prepared, start_deviation, R))
@@ -50,17 +48,14 @@ def filter_segments(
 def prediction_errors(
     flown: SegmentTrajectories, theta: Float[Array, " k"], found: kalman.Filtered
 ) -> Float[Array, "w n c"]:
-    """Measured minus predicted from the samples before, in units of the recorded channels, NaN where missing. `found`
-    is the result of `filter_segments` at `theta`. Its innovations are smaller, because each is also predicted from the
-    outputs before it in the same sample."""
+    """Measured minus predicted from the samples before, in recorded units; `found` is that of `filter_segments`."""
     prepared = prepare(flown, theta)
     outputs = _each_sample(lambda x, u: kalman.outputs_at(prepared.sensed, x, u, flown.outputs))
     return (flown.only_inside(prepared.true) - outputs(found.predicted, prepared.drives)) / prepared.scale
 
 
 class Observer(NamedTuple):
-    """Gains (w, n, s, c) of each sample, and `whitening` (w, n, c, c): its product with the innovations is
-    uncorrelated, each output predicted also from the outputs before it in the same sample."""
+    """Gains of each sample; `whitening` makes the innovations of the outputs of a sample uncorrelated."""
 
     gain: Float[Array, "w n s c"]
     whitening: Float[Array, "w n c c"]
@@ -150,9 +145,7 @@ def disturbances_along(
 def linear_innovations(
     lin: LinearisedFilter, noise: Disturbances, dt: Float[Array, " w"]
 ) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c"]]:
-    """Innovations (w, n, c, 1 + d) and their variances (w, n, c), each output given those before it in its sample. The
-    first column has the innovations, the others their derivatives in the d directions at constant gains; all in units
-    of the recorded channels. Missing samples have innovation 0 and variance 1."""
+    """Innovations, their derivatives in d directions at constant gains; variances. Missing: 0 and 1. Recorded units."""
     found, S = jax.vmap(_one_segment)(lin, noise, dt)
     e, slopes = found[..., :1], found[..., 1:]
     slopes = slopes - e * lin.scale_drive / lin.scale[..., None]
@@ -177,8 +170,7 @@ def _one_segment(lin: LinearisedFilter, noise: Disturbances, dt: Any):
         ahead = jnp.where(autonomous, decayed * after, ahead)
         mean = Phi @ (mean + correction).at[:, 0].add(-after)
         mean = mean + jnp.concatenate([ahead[:, None], drive], axis=1)
-        P = Phi @ P @ Phi.T + kalman.discrete_noise(Phi, density, dt)
-        return (mean, 0.5 * (P + P.T)), (e, S)
+        return (mean, kalman.predicted_covariance(Phi, P, density, dt)), (e, S)
 
     begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1)
     rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.drive, lin.residual, lin.matrix, lin.direct)
@@ -189,9 +181,7 @@ def _one_segment(lin: LinearisedFilter, noise: Disturbances, dt: Any):
 def noise_derivatives(
     lin: LinearisedFilter, noise: Disturbances, slopes: Disturbances, dt: Float[Array, " w"]
 ) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c m"]]:
-    """Derivatives of innovations and of their variances by parameters of the noise, in units of the recorded channels.
-    `slopes` are the derivatives of `noise` in m directions, the last axis. The path and the motion along it are
-    held."""
+    """Derivatives of innovations and variances by the noise in m directions, along a held path; recorded units."""
     de, dS = jax.vmap(_slopes_of_segment)(lin, noise, slopes, dt)
     used = jnp.isfinite(lin.residual)[..., None]
     unit = lin.scale[..., None]
@@ -310,8 +300,7 @@ def linearise(
     directions: Float[Array, "d k"],
     known: StateDerivatives | None = None,
 ) -> LinearisedFilter:
-    """Linearise outputs at the states `before` and the motion at the states `after`, at parameters `theta`. `known`:
-    the derivatives by the state, where they were computed before."""
+    """Linearise outputs at the states `before`, the motion at those `after`; `known`: derivatives by the state."""
     known = known or state_derivatives(flown, theta, before, after)
     at = prepare(flown, theta)
     dynamic, static = eqx.partition(at.sensed, eqx.is_inexact_array)
@@ -351,7 +340,6 @@ def _each_sample(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _step(flown: SegmentTrajectories) -> Float[Array, "w 1 1 1"]:
-    """Time of a Runge-Kutta step, s."""
     return (jnp.asarray(flown.dt) / flown.substeps)[:, None, None, None]
 
 
@@ -360,7 +348,6 @@ def _rate(system: System, x: Array, u: Row) -> Array:
 
 
 def _at_stages(flown: SegmentTrajectories, drives: dict[str, Array]) -> dict[str, Array]:
-    """Inputs (w, n, ...) at every Runge-Kutta stage between the samples, (m, w, n, ...)."""
     first = {name: jnp.moveaxis(x, 1, -1) for name, x in drives.items()}
     then = {name: jnp.moveaxis(x, -1, 1) for name, x in later(first, flown.held).items()}
     return jax.vmap(lambda share: between(drives, then, share))(stage_table(flown.substeps)[0])
@@ -373,7 +360,6 @@ def observer_derivatives(lin: LinearisedFilter, by: Observer) -> Float[Array, "w
 
 
 def _observed(begin, *rows):
-    """The same in one segment, from the change of its initial state and rows of all samples."""
 
     def one_sample(dx, row):
         Phi, drive, C, direct, used, K = row
@@ -384,8 +370,7 @@ def _observed(begin, *rows):
 
 
 class InputDerivatives(NamedTuple):
-    """Derivatives in one direction of the inputs: of the next state by their values at the sample and at the next one
-    (the last axis), of the outputs."""
+    """In one direction of the inputs: of the next state by their values now and a sample later, of the outputs."""
 
     ahead: Float[Array, "w n s 2"]
     direct: Float[Array, "w n c"]
@@ -398,8 +383,7 @@ def derivatives_by_input(
     known: StateDerivatives,
     direction: dict[str, Float[Array, ""]],
 ) -> InputDerivatives:
-    """Derivatives in this direction of inputs that are linear between samples, at parameters `theta`. `before`: states
-    before each correction, where the outputs are; the motion is that of `known`."""
+    """Derivatives in this direction of inputs: of outputs at the states `before`, of the motion of `known`."""
     prepared = prepare(flown, theta)
     now = _at_stages(flown, prepared.drives)
 
@@ -427,9 +411,7 @@ def input_innovations(
     before: Float[Array, "w n d"],
     after: Float[Array, "w n d"],
 ) -> Float[Array, "w n c d"]:
-    """Changes of the innovations of an observer by d histories along a direction, linearised along its path. `before`,
-    `after`: the histories at the states before and after each correction. The former act on the outputs; the motion to
-    the next sample goes from the latter to the former."""
+    """Changes of an observer's innovations by d histories along a direction, before and after corrections."""
     then = jnp.concatenate([before[:, 1:], before[:, -1:]], axis=1)
     drive = own.ahead[..., :1] * after[:, :, None] + own.ahead[..., 1:] * then[:, :, None]
     direct = own.direct[..., None] * before[:, :, None]

@@ -71,10 +71,7 @@ def discrete_noise_slopes(
 
 
 class FilterInputs(NamedTuple):
-    """What a filter reads of one segment; under `filter_inputs` of w segments, w in front of every array. The state
-    before the first sample and its covariance, inputs at each sample and at the next one (n,), corrected outputs (NaN
-    where missing), the variances of their noise, the derivatives of the corrected outputs by the recorded ones, and the
-    sample time, s."""
+    """What a filter reads of one segment: begin, inputs now and a sample later, outputs (NaN: missing), noise."""
 
     begin: Float[Array, "*w s"]
     covariance: Float[Array, "*w s s"]
@@ -175,9 +172,7 @@ def correct(
 def gains(
     P: Float[Array, "s s"], C: Float[Array, "c s"], variance: Float[Array, " c"], used: Bool[Array, " c"]
 ) -> tuple[Float[Array, "s c"], Float[Array, "c c"]]:
-    """Gain of `correct`, and the matrix that whitens measured minus predicted: what it makes of each output alone.
-    Factorising the matrices of all samples at once calls LAPACK, which shares its threads with other calls: two of them
-    at a time (jaxlib 0.10) wait for each other for ever."""
+    """Gain of `correct`, and the matrix that whitens measured minus predicted: what it makes of each output alone."""
     gain, _, whitening, _, _ = correct(P, C, jnp.eye(len(C)), variance, used)
     return gain, whitening
 
@@ -256,7 +251,6 @@ class _Local(NamedTuple):
 
 
 def _filter_path(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> tuple[Array, _Path]:
-    """The log likelihood, and the path of the filter."""
     prepared = prepare(flown, point.theta)
 
     def keep(sample):
@@ -286,9 +280,7 @@ def _backward(slope: NoisePoint, cotangent: Array, *_: Any):
 def innovations_density(
     flown: SegmentTrajectories, point: NoisePoint, start_deviation: Float[Array, " s"]
 ) -> Float[Array, ""]:
-    """Log likelihood of all segments: the sum of `log_likelihood` over `innovations.filter_segments`. `flown` without
-    names (`nameless`), so that records of any name share a compiled program; `start_deviation` (s,) of the measured
-    initial state, SI."""
+    """Log likelihood of `innovations.filter_segments`; `flown` is `nameless`, to share compiled programs."""
     return _density(point, flown, start_deviation)
 
 
@@ -323,7 +315,6 @@ def _log_likelihood_along(point: NoisePoint, flown: SegmentTrajectories, start_d
 
 
 def _linearise_along(system: System, rows: FilterInputs, F: Array, flown: SegmentTrajectories, path: _Path) -> _Local:
-    """Linearise all samples at once. The highest derivatives depend on the path only, not on the point."""
     dt = jnp.broadcast_to(rows.dt[:, None], path.before.shape[:2])
     over_samples = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
 
@@ -338,7 +329,6 @@ def _linearise_along(system: System, rows: FilterInputs, F: Array, flown: Segmen
         )
 
     def by_state(f: Callable[[Array], Array], x: Float[Array, "w n s"]) -> tuple[Array, Array]:
-        """f and its derivative by the state of the same sample, the last axis."""
         along = lambda e: jax.jvp(f, (x,), (jnp.broadcast_to(e, x.shape),))  # noqa: E731
         return jax.vmap(along, out_axes=(None, -1))(jnp.eye(x.shape[-1]))
 

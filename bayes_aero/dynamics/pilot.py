@@ -1,6 +1,6 @@
 """Simulation of a model: longitudinal equations of motion, with the effects of the coefficient fit.
 
-Bank angle and sideslip are prescribed (see `plant`). Flat earth, no wind.
+Bank angle and sideslip are prescribed (see `Plant`). Flat earth, no wind.
 """
 
 from __future__ import annotations
@@ -16,18 +16,15 @@ from jaxtyping import Array, Bool, Float
 from scipy.optimize import brentq
 
 from bayes_aero.dynamics.aircraft import RigidBody
+from bayes_aero.dynamics.flight import Values
 from bayes_aero.dynamics.system import Row, System, advance, integrate, later, step
 from bayes_aero.dynamics.trim import (
     CONTROLS,
-    SIDE_FORCE,
     SIGNALS,
     SURFACES,
     Condition,
-    FlightState,
-    Plant,
     RigidTrim,
     Trim,
-    Values,
     control_signs,
     lead,
     refuse_unsimulated,
@@ -36,9 +33,105 @@ from bayes_aero.dynamics.trim import (
 )
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
+from bayes_aero.model import observations as observations
 from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import DEFAULT_RANGES, GRAVITY, Aircraft, Axis, Envelope, air, excursion
+from bayes_aero.physics.coefficients import accelerometers, motion_of_aircraft
 from bayes_aero.physics.filters import differentiate
+from bayes_aero.physics.kinematics import euler_rates
+
+# --- The simulated aircraft in three degrees of freedom: pilot, prescribed turn, and disturbances of the
+# coefficients.
+# Bank angle and sideslip are prescribed with their rates; the yaw rate follows from them (see `Plant.turn`). Flat
+# earth, no wind. The equations of motion are those of `physics.coefficients`.
+
+
+class FlightState(NamedTuple):
+    """State of `Plant`; SI."""
+
+    airspeed: Any
+    alpha: Any
+    theta: Any
+    q: Any
+    altitude: Any
+    lagged_X: Any = 1.0  # the lagged separation point
+    trim: Any = 0.0  # the pilot's trim command, rad
+
+
+PRESCRIBED = ("thrust", "stabilizer", "rudder", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap")
+TURNING = {"phi": "phi_rate", "phi_rate": "phi_acceleration", "beta": "beta_dot", "beta_dot": "beta_acceleration"}
+INPUTS = (
+    "time", *PRESCRIBED, *dict.fromkeys((*TURNING, *TURNING.values())), "alpha_led", "command", "dCL", "dCD", "dCm",
+)  # fmt: skip
+"""Inputs of `Plant`, SI: the stabilizer in addition to the pilot's command; bank and sideslip with their derivatives;
+the commanded alpha `alpha_led`, and the pilot's command in addition to feedback and trim; disturbances of the
+coefficients.
+"""
+
+
+class Plant(System):
+    """The aircraft with its model. The disturbance is multiplied by 1 + `buffet` (1 - X)."""
+
+    model: Model = eqx.field(static=True)
+    values: dict[str, Any]
+    aircraft: Aircraft
+    gains: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]  # on alpha, q and the integral of alpha
+    buffet: Float[Array, ""]
+    shares: Any = (1.0, 0.0)  # of the pilot's command in each of `CONTROLS`
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return FlightState._fields
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        state = FlightState(*x)
+        density, sound = air(state.altitude)
+        s = dict(u) | {name: getattr(state, name) for name in ("airspeed", "alpha", "theta", "q", "altitude")}
+        feedback = self.gains[0] * (state.alpha - u["alpha_led"]) + self.gains[1] * state.q
+        command = u["command"] + feedback + state.trim
+        s |= {"elevator": self.shares[0] * command, "stabilizer": u["stabilizer"] + self.shares[1] * command}
+        s |= {"density": density, "mach": state.airspeed / sound}
+        s |= self.turn(s)
+
+        def flow(alpha_dot):
+            known = s | {"alpha_dot": alpha_dot}
+            static = self.model.static_separation(self.values, known, self.aircraft)
+            X = jnp.where(self.model.lag(self.values) > 0.0, state.lagged_X, static)
+            known = self.model.flow(self.values, known, self.aircraft, X=X)
+            growth = 1.0 + self.buffet * (1.0 - X)
+            return known | {"static_X": static} | {n: known[n] + growth * s[f"d{n}"] for n in ("CL", "CD", "Cm")}
+
+        implicit = any("alpha_dot" in effect.channels for effect in self.model.acting)
+        now = motion_of_aircraft(flow, s, s, self.aircraft, implicit=implicit)
+        rates = {name: now.rates[name] for name in ("airspeed", "alpha", "altitude")} | {"q": now.q_dot}
+        rates["theta"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[1]
+        lag = self.model.lag(self.values) * self.aircraft.chord / state.airspeed
+        X_dot = jnp.where(lag > 0.0, (now.flow["static_X"] - state.lagged_X) / jnp.where(lag > 0.0, lag, 1.0), 0.0)
+        derivative = FlightState(**rates, lagged_X=X_dot, trim=self.gains[2] * (state.alpha - u["alpha_led"]))
+        change = rates | {name: u[rate] for name, rate in TURNING.items()}
+        turning = jax.jvp(self.turn, ({name: s[name] for name in change},), (change,))[1]
+        now = now._replace(rotation=(turning["p"], now.q_dot, turning["r"]))
+        accelerations = accelerometers(now, s, self.aircraft)
+        outputs = s | accelerations | {"alpha_dot": rates["alpha"], "q_dot": now.q_dot}
+        return jnp.stack(derivative), outputs | {name: now.flow[name] for name in ("X", "CL", "CD", "Cm")}
+
+    def turn(self, s: Mapping[str, Any]) -> dict[str, Any]:
+        """Roll, yaw (body axes) and turn rate of a flight with this bank and sideslip, from the kinematic equations and
+        the equation of side force. The latter is V (r cos alpha - p sin alpha + beta-dot) = g cos theta sin phi + Y/m
+        with Y due to sideslip: without sideslip a coordinated turn. It neglects V-dot tan beta; the side force recorded
+        by `ay` does not."""
+        V, phi, theta, q = s["airspeed"], s["phi"], s["theta"], s["q"]
+        side = 0.5 * air(s["altitude"])[0] * V * self.aircraft.wing_area * SIDE_FORCE * s["beta"] / self.aircraft.mass
+        needed = GRAVITY * jnp.cos(theta) * jnp.sin(phi) / V + side - s["beta_dot"]
+        sin, cos = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
+        lean = jnp.cos(theta) / jnp.cos(phi)
+        rolling = q * jnp.tan(phi) * cos + s["phi_rate"] * sin
+        psi_dot = (needed + rolling) / (lean * cos + jnp.sin(theta) * sin)
+        p, r = s["phi_rate"] - psi_dot * jnp.sin(theta), psi_dot * lean - q * jnp.tan(phi)
+        return {"p": p, "r": r, "psi_dot": psi_dot}
+
+
+SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it sets only the yaw rate in sideslip
 
 
 class Pilot(NamedTuple):
@@ -70,12 +163,11 @@ class Pilot(NamedTuple):
 
 def fly(
     model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: float
-) -> dict[str, Float[Array, " n"]]:
+) -> dict[str, Float[np.ndarray, " n"]]:
     """All signals of the flight by the names of recorded channels, and CL, CD, Cm, X; (n,), SI. Inputs are linear
     between samples. Held inputs would lag their record by half a sample, which a diagnosis finds as a delay of the
     elevator."""
-    numbers, pilot, start = jax.tree.map(lambda x: jnp.asarray(x, float), (dict(values), pilot, start))
-    return _fly_one(model, numbers, aircraft, pilot, start, jnp.asarray(dt))
+    return fly_together(model, values, aircraft, [pilot], [start], dt)[0]
 
 
 def fly_together(
@@ -98,12 +190,10 @@ def _fly(model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot,
     return found | {"psi": jnp.cumsum(jnp.pad(0.5 * dt * (turn[1:] + turn[:-1]), (1, 0)))}
 
 
-_fly_one = eqx.filter_jit(_fly)
 _fly_several = eqx.filter_jit(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0, 0, None)))
 
 
 def _inputs(pilot: Pilot, command: Float[Array, " n"], dt: Any) -> dict[str, Float[Array, " n"]]:
-    """Inputs of `Plant`."""
     n = pilot.alpha.shape[0]
     disturbance = jnp.broadcast_to(pilot.disturbance, (n, 3)).T
     pilot = Pilot(*(jnp.broadcast_to(x, n) if jnp.ndim(x) == 0 else x for x in pilot))
@@ -172,20 +262,17 @@ class PilotedBody(RigidBody):
 
     @property
     def after(self) -> tuple[str, ...]:
-        """States after the flight states, the trim before the lagged separation points."""
         names = super().after
         points = len(names) - len(self.points)
         return (*names[:points], "trim", *names[points:])
 
     def separation_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> list[Any]:
-        """Of the trim and the separation points."""
         return [self.gains[2] * (state["alpha"] - s["led_alpha"]), *super().separation_rates(state, s)]
 
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
         return super().flow_signals(x, dict(u) | self._controls(self.named(x), u))
 
     def flow(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> dict[str, Any]:
-        """Flow with the disturbances of the coefficients."""
         known = super().flow(state, s)
         growth = 1.0 + self.buffet * (1.0 - known["X"])
         return known | {name: known[name] + growth * s[f"d{name}"] for name in DISTURBED_COEFFICIENTS}
@@ -195,7 +282,6 @@ class PilotedBody(RigidBody):
         return rates, outputs | self._controls(self.named(x), u)
 
     def _controls(self, state: Mapping[str, Any], u: Row) -> dict[str, Any]:
-        """Deflections, rad: command and feedback."""
         errors = {name: state[name] - u[f"led_{name}"] for name in ("alpha", "beta", "phi")}
         pitch = -self.gains[0] * errors["alpha"] - self.gains[1] * state["q"] - state["trim"]
         roll = -BANK * errors["phi"] - ROLL * state["p"]
@@ -212,8 +298,7 @@ class PilotedBody(RigidBody):
 def fly_rigid(
     model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, trim: RigidTrim, dt: float
 ) -> dict[str, Float[np.ndarray, " n"]]:
-    """All signals of a flight from `trim` by the names of recorded channels, the coefficients and X; (n,), SI.
-    Commanded bank gives a coordinated turn."""
+    """All signals of a flight from `trim`, as `fly` has them. Commanded bank gives a coordinated turn."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     lag = float(model.lag(values))
     if lag == 0.0:  # a separation point without lag is no state
@@ -248,7 +333,6 @@ _integrate = eqx.filter_jit(integrate)
 def _piloted_inputs(
     pilot: Pilot, trim: RigidTrim, chosen: Mapping[str, tuple[str, float]]
 ) -> dict[str, Float[Array, " n"]]:
-    """Inputs of `PilotedBody`: commands about the trim, and thrust."""
     n = np.asarray(pilot.alpha).shape[0]
     whole = lambda x: jnp.broadcast_to(jnp.asarray(x, float), n)  # noqa: E731
     disturbance = jnp.broadcast_to(jnp.asarray(pilot.disturbance, float), (n, 3)).T
@@ -321,8 +405,7 @@ def rounded(signal: Series, seconds: float, dt: float) -> Series:
 def commands(
     time: Series, trim: Trim, stall: float, bank_per_sideslip: float, amplitude: float = 1.0
 ) -> dict[str, Pilot]:
-    """The standard inputs by name, from `trim`. `stall` (rad): rise of alpha of the slow sweep above trim;
-    `bank_per_sideslip`: bank that keeps the heading. `amplitude` multiplies all inputs."""
+    """The standard inputs by name: `stall` (rad) is the rise of alpha of the slow sweep above trim."""
     rest, dt, deg = np.zeros_like(time), float(time[1] - time[0]), np.pi / 180.0
 
     def held(parts: list[Pulse], smooth: float) -> Series:
@@ -331,7 +414,6 @@ def commands(
     def pilot(
         gains: tuple[float, ...] = TIGHT, alpha: Series = rest, thrust: Series = rest, **signals: Series
     ) -> Pilot:
-        """A pilot with changes from trim; thrust as a share of that in trim."""
         power = trim.thrust * np.maximum(1.0 + thrust, 0.1)
         feedback = dict(zip(("alpha_gain", "rate_gain", "trim_gain"), gains, strict=True))
         zeros = dict.fromkeys(("excitation", "phi", "beta", "stabilizer"), rest)
@@ -373,9 +455,7 @@ def standard_pilots(
     altitude: float,
     amplitude: float = 1.0,
 ) -> tuple[dict[str, Pilot], FlightState | RigidTrim]:
-    """The pilot of each manoeuvre with this model, and the level flight in which all start. `airspeed` in m/s,
-    `altitude` in m. A model of both axes flies in six degrees of freedom, and the manoeuvres of `LATERAL` as well.
-    Raises `InputError` where the model cannot be trimmed."""
+    """The pilot of each manoeuvre, and the level flight in which all start; `InputError` where there is no trim."""
     start: FlightState | RigidTrim
     if rigid := Axis.LATERAL in model.axes:
         start = rigid_trim(model, values, aircraft, Condition(airspeed, altitude))
@@ -397,22 +477,20 @@ def fly_standard(
     model: Model,
     values: Mapping[str, Any],
     aircraft: Aircraft,
+    level: Condition,
     *,
-    airspeed: float,
-    altitude: float,
     dt: float,
     amplitude: float = 1.0,
     envelope: Envelope = ANYWHERE,
 ) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, float], dict[str, str]]:
-    """Fly all of `standard_pilots`, sampled every `dt` s: by name the channels without noise (and `X`), how many
-    seconds of them are recorded, and why a manoeuvre is refused, as where it leaves the `envelope`."""
+    """Fly all of `standard_pilots`: channels without noise, and `X`; recorded seconds; why others are refused."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
     rigid = Axis.LATERAL in model.axes
     for effect in model.acting if rigid else ():
         refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
-    pilots, start = standard_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
+    pilots, start = standard_pilots(model, values, aircraft, time, level.airspeed, level.altitude, amplitude)
     if isinstance(start, RigidTrim):
         flights = [fly_rigid(model, values, aircraft, pilot, start, dt) for pilot in pilots.values()]
     else:
@@ -471,7 +549,6 @@ def multisines(
 
 
 def _phases(k: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-    """Phases with a small peak: Schroeder's, then the phases of the clipped signal, again and again."""
     order = np.arange(len(k))
     phase = -np.pi * order * (order + 1) / len(k)
     angle = np.linspace(0.0, 2.0 * np.pi, GRID * int(k[-1]), endpoint=False)
@@ -498,8 +575,7 @@ LATERAL_EXCITED_CHANNELS = {  # channels that each manoeuvre excites, in additio
 
 
 def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float = 1.0) -> dict[str, Pilot]:
-    """Doublets of aileron and rudder, multisines of these and the elevator, a stall in banked flight, unequal
-    engines."""
+    """Doublets of aileron and rudder, multisines, a stall in banked flight, unequal engines."""
     dt = float(time[1] - time[0])
 
     def doublets(size: float) -> Series:

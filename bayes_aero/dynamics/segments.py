@@ -14,8 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics
-from bayes_aero.dynamics.linear import LateOutputs
-from bayes_aero.dynamics.system import System, Trajectory, integrate
+from bayes_aero.dynamics.system import LateOutputs, System, Trajectory, integrate
 from bayes_aero.errors import InputError
 from bayes_aero.model.records import Flights, cuts_of
 from bayes_aero.physics.filters import advance
@@ -48,7 +47,6 @@ class SegmentTrajectories(eqx.Module):
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " w"]:
-        """Which manoeuvre each segment belongs to."""
         return self.flights.manoeuvre[self.index[:, 0]]
 
     def only_inside(self, y: Float[Array, "w n c"]) -> Float[Array, "w n c"]:
@@ -57,11 +55,9 @@ class SegmentTrajectories(eqx.Module):
 
     @property
     def growth(self) -> list[Float[np.ndarray, "_ c"]]:
-        """`noise_growth` of the real samples, by segment."""
         return [self.noise_growth[k][real] for k, real in enumerate(self.inside)]
 
     def part(self, rows: Sequence[int] | Int[np.ndarray, " r"]) -> SegmentTrajectories:
-        """Some of the segments, in the order of `rows`."""
         index, inside, dt, noise_growth = (
             x[np.asarray(rows)] for x in (self.index, self.inside, self.dt, self.noise_growth)
         )
@@ -87,14 +83,11 @@ def segments(
     *,
     outputs: Sequence[str] | None = None,
     window: float | None = None,
-    manoeuvres: Sequence[int] | None = None,
     substeps: int = 1,
     fixed: Mapping[str, float | Sequence[float]] | None = None,
     held: bool = False,
 ) -> SegmentTrajectories:
-    """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole manoeuvres). `outputs` are
-    compared with the simulation; default: all recorded ones that the dynamics make. `fixed`, `held`: see
-    `SegmentTrajectories`."""
+    """Cut all manoeuvres into windows of about `window` s (default: whole ones); `outputs`: default all recorded."""
     recorded = tuple(name for name in dynamics.outputs if name in flights.channels)
     chosen = recorded if outputs is None else tuple(outputs)
     unknown = [name for name in chosen if name not in recorded]
@@ -108,7 +101,7 @@ def segments(
             states = ", ".join(n for n in dynamics.start if n not in POINTS)
             raise InputError(f"the initial state has {name}, which is no state of the model; there are {states}")
     rows, dts = [], []
-    for number in range(len(flights.lengths)) if manoeuvres is None else manoeuvres:
+    for number in range(len(flights.lengths)):
         samples = np.flatnonzero(flights.manoeuvre == number)
         dt = float(flights.channels["dt"][samples[0]])
         cuts = cuts_of(len(samples), dt, window)
@@ -147,12 +140,10 @@ class Prepared(NamedTuple):
 
     @property
     def first_inputs(self) -> dict[str, Float[Array, " w"]]:
-        """Inputs at the first sample of each segment."""
         return {name: x[:, 0] for name, x in self.drives.items()}
 
     @property
     def initial_states(self) -> Float[Array, "w s"]:
-        """Initial states of the filter, with states without a sensor filled in."""
         return jax.vmap(self.sensed.complete_start)(self.begin, self.first_inputs)
 
     def initial_covariance(self, states: Float[Array, "w s"], deviation: Float[Array, " s"]) -> Float[Array, "w s s"]:
@@ -167,8 +158,7 @@ class Prepared(NamedTuple):
 
 
 def _measured_start(flown: SegmentTrajectories, channels: Mapping[str, Array]) -> Float[Array, "w b"]:
-    """Initial states: values at the first sample of a straight line through the first half second; zero where not
-    recorded. Fixed ones are the given ones, and the first sample where none is given."""
+    """Values at the first sample of a straight line through the first half second; fixed ones as given; else zero."""
     count = 1 if flown.fixed is not None else flown.begin
     rows, given = flown.index[:, :count], dict(flown.fixed or ())
     t = np.arange(count) - (count - 1) / 2.0

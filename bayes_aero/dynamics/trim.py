@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,20 +13,38 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.aircraft import RigidBody
-from bayes_aero.dynamics.system import Row, System
+from bayes_aero.dynamics.aircraft import HELD, RigidBody
+from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, LinearDynamics, Values
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model import observations as observations
 from bayes_aero.model.model import Model
-from bayes_aero.physics.aircraft import GRAVITY, Aircraft, air
-from bayes_aero.physics.coefficients import accelerometers, moments, motion_of_aircraft, specific_force
-from bayes_aero.physics.kinematics import RATES, down_of, euler_rates
+from bayes_aero.physics.aircraft import GRAVITY, Aircraft, Axis, air
+from bayes_aero.physics.coefficients import moments, specific_force
+from bayes_aero.physics.kinematics import RATES, down_of
+
+CONTROLS = ("elevator", "stabilizer")  # of the pitching moment; the pilot uses the first one with an effect
+SIGNALS = frozenset((  # signals that effects may read in the simulation; there is no canard
+    "time", "alpha", "alpha_dot", "airspeed", "altitude", "p", "q", "r", "phi", "theta", "beta", "elevator",
+    "stabilizer", "rudder", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap", "mach", "density",
+    "thrust",
+))  # fmt: skip
+
+
+def can_simulate(effect: Effect, signals: frozenset[str] = SIGNALS) -> bool:
+    """Whether the simulation has all channels of an effect."""
+    return effect.stage <= Stage.AIRCRAFT or signals.issuperset(effect.channels)
+
+
+def refuse_unsimulated(effect: Effect, signals: frozenset[str] = SIGNALS) -> None:
+    """Raise `InputError` for an effect with channels that the simulation lacks."""
+    if not can_simulate(effect, signals):
+        lacks = ", ".join(channel for channel in effect.channels if channel not in signals)
+        raise InputError(f"the simulated aircraft cannot fly effect {effect.name}: it has no {lacks}; ask for another")
+
 
 GRID = np.deg2rad(np.linspace(-4.0, 20.0, 97))  # alpha tried for trim
 TRAVEL = 0.2  # rad either side of the pilot's command over which the pitch acceleration is taken as linear
-
-Values = Mapping[str, Any]
 
 
 class Trim(NamedTuple):
@@ -105,7 +124,6 @@ def trimmed(model: Model, values: Values, aircraft: Aircraft, airspeed: float, a
 
 @eqx.filter_jit
 def _balance(model: Model, values: Any, aircraft: Aircraft, airspeed: Any, altitude: Any, *rows: Any):
-    """CL, CD and pitch acceleration in steady level flight at each alpha, thrust and further command of `rows`."""
     alpha, thrust, further = (jnp.asarray(row) for row in rows)
     shares, command = lead(model, values, aircraft, alpha, airspeed, altitude)
     controls = {name: share * (command + further) for name, share in zip(CONTROLS, shares, strict=True)}
@@ -144,7 +162,6 @@ class Condition:
     unequal: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check that exactly one of sideslip, bank and turn rate is free."""
         if sum(x is None for x in (self.sideslip, self.bank, self.turn_rate)) != 1:
             raise InputError("steady flight has two of sideslip, bank and turn rate given; the third one follows")
 
@@ -282,115 +299,138 @@ def steady_flow(
     return {name: flow[name] for name in ("X", "CL", "CD", "Cm")}
 
 
-# --- The simulated aircraft in three degrees of freedom: pilot, prescribed turn, and disturbances of the
-# coefficients.
-# Bank angle and sideslip are prescribed with their rates; the yaw rate follows from them (see `Plant.turn`). Flat
-# earth, no wind. The equations of motion are those of `physics.coefficients`.
+# --- Modes of motion about steady flight with fixed controls: eigenvalues of the linearised equations of motion.
+# Source: Etkin and Reid, *Dynamics of Flight*, 3rd ed. 1996, ch. 6.
 
-SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it sets only the yaw rate in sideslip
+LATERAL = ("beta", "p", "r", "phi")
+SPEEDS, HEAVES = ("airspeed", "u"), ("alpha", "w")  # u and w of cards with velocities in body axes, m/s
+LONGITUDINAL = (*SPEEDS, *HEAVES, "q", "theta")
+WITHOUT_FORCE = ("psi", "altitude")  # no force depends on psi, and hardly any on altitude
 
-CONTROLS = ("elevator", "stabilizer")  # of the pitching moment; the pilot uses the first one with an effect
-SIGNALS = frozenset((  # signals that effects may read in the simulation; there is no canard
-    "time", "alpha", "alpha_dot", "airspeed", "altitude", "p", "q", "r", "phi", "theta", "beta", "elevator",
-    "stabilizer", "rudder", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap", "mach", "density",
-    "thrust",
-))  # fmt: skip
-
-
-def can_simulate(effect: Effect, signals: frozenset[str] = SIGNALS) -> bool:
-    """Whether the simulation has all channels of an effect."""
-    return effect.stage <= Stage.AIRCRAFT or signals.issuperset(effect.channels)
-
-
-def refuse_unsimulated(effect: Effect, signals: frozenset[str] = SIGNALS) -> None:
-    """Raise `InputError` for an effect with channels that the simulation lacks."""
-    if not can_simulate(effect, signals):
-        lacks = ", ".join(channel for channel in effect.channels if channel not in signals)
-        raise InputError(f"the simulated aircraft cannot fly effect {effect.name}: it has no {lacks}; ask for another")
-
-
-class FlightState(NamedTuple):
-    """State of `Plant`; SI."""
-
-    airspeed: Any
-    alpha: Any
-    theta: Any
-    q: Any
-    altitude: Any
-    lagged_X: Any = 1.0  # the lagged separation point
-    trim: Any = 0.0  # the pilot's trim command, rad
-
-
-PRESCRIBED = ("thrust", "stabilizer", "rudder", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap")
-TURNING = {"phi": "phi_rate", "phi_rate": "phi_acceleration", "beta": "beta_dot", "beta_dot": "beta_acceleration"}
-INPUTS = (
-    "time", *PRESCRIBED, *dict.fromkeys((*TURNING, *TURNING.values())), "alpha_led", "command", "dCL", "dCD", "dCm",
+SHORT_PERIOD, PHUGOID, DUTCH_ROLL, ROLL, SPIRAL, OTHER = (
+    "short period", "phugoid", "Dutch roll", "roll", "spiral", "other",
 )  # fmt: skip
-"""Inputs of `Plant`, SI: the stabilizer in addition to the pilot's command; bank and sideslip with their derivatives;
-the commanded alpha `alpha_led`, and the pilot's command in addition to feedback and trim; disturbances of the
-coefficients.
-"""
 
 
-class Plant(System):
-    """The aircraft with its model. The disturbance is multiplied by 1 + `buffet` (1 - X)."""
+@dataclass(frozen=True)
+class MotionMode:
+    """A mode by name, with its eigenvalue (1/s), the one of positive imaginary part of a pair."""
 
-    model: Model = eqx.field(static=True)
-    values: dict[str, Any]
-    aircraft: Aircraft
-    gains: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]  # on alpha, q and the integral of alpha
-    buffet: Float[Array, ""]
-    shares: Any = (1.0, 0.0)  # of the pilot's command in each of `CONTROLS`
+    name: str
+    eigenvalue: complex
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        return FlightState._fields
 
-    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state, and every signal, from the state and `INPUTS`."""
-        state = FlightState(*x)
-        density, sound = air(state.altitude)
-        s = dict(u) | {name: getattr(state, name) for name in ("airspeed", "alpha", "theta", "q", "altitude")}
-        feedback = self.gains[0] * (state.alpha - u["alpha_led"]) + self.gains[1] * state.q
-        command = u["command"] + feedback + state.trim
-        s |= {"elevator": self.shares[0] * command, "stabilizer": u["stabilizer"] + self.shares[1] * command}
-        s |= {"density": density, "mach": state.airspeed / sound}
-        s |= self.turn(s)
+@dataclass(frozen=True)
+class Steady:
+    """Straight level flight, SI; alpha is for cards without the longitudinal axis, which have no trim."""
 
-        def flow(alpha_dot):
-            """By the effects, with disturbances, and the separation point of steady flow."""
-            known = s | {"alpha_dot": alpha_dot}
-            static = self.model.static_separation(self.values, known, self.aircraft)
-            X = jnp.where(self.model.lag(self.values) > 0.0, state.lagged_X, static)
-            known = self.model.flow(self.values, known, self.aircraft, X=X)
-            growth = 1.0 + self.buffet * (1.0 - X)
-            return known | {"static_X": static} | {n: known[n] + growth * s[f"d{n}"] for n in ("CL", "CD", "Cm")}
+    airspeed: float
+    altitude: float
+    alpha: float = 0.0
 
-        implicit = any("alpha_dot" in effect.channels for effect in self.model.acting)
-        now = motion_of_aircraft(flow, s, s, self.aircraft, implicit=implicit)
-        rates = {name: now.rates[name] for name in ("airspeed", "alpha", "altitude")} | {"q": now.q_dot}
-        rates["theta"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[1]
-        lag = self.model.lag(self.values) * self.aircraft.chord / state.airspeed
-        X_dot = jnp.where(lag > 0.0, (now.flow["static_X"] - state.lagged_X) / jnp.where(lag > 0.0, lag, 1.0), 0.0)
-        derivative = FlightState(**rates, lagged_X=X_dot, trim=self.gains[2] * (state.alpha - u["alpha_led"]))
-        change = rates | {name: u[rate] for name, rate in TURNING.items()}
-        turning = jax.jvp(self.turn, ({name: s[name] for name in change},), (change,))[1]
-        now = now._replace(rotation=(turning["p"], now.q_dot, turning["r"]))
-        accelerations = accelerometers(now, s, self.aircraft)
-        outputs = s | accelerations | {"alpha_dot": rates["alpha"], "q_dot": now.q_dot}
-        return jnp.stack(derivative), outputs | {name: now.flow[name] for name in ("X", "CL", "CD", "Cm")}
 
-    def turn(self, s: Mapping[str, Any]) -> dict[str, Any]:
-        """Roll, yaw (body axes) and turn rate of a flight with this bank and sideslip, from the kinematic equations and
-        the equation of side force. The latter is V (r cos alpha - p sin alpha + beta-dot) = g cos theta sin phi + Y/m
-        with Y due to sideslip: without sideslip a coordinated turn. It neglects V-dot tan beta; the side force recorded
-        by `ay` does not."""
-        V, phi, theta, q = s["airspeed"], s["phi"], s["theta"], s["q"]
-        side = 0.5 * air(s["altitude"])[0] * V * self.aircraft.wing_area * SIDE_FORCE * s["beta"] / self.aircraft.mass
-        needed = GRAVITY * jnp.cos(theta) * jnp.sin(phi) / V + side - s["beta_dot"]
-        sin, cos = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
-        lean = jnp.cos(theta) / jnp.cos(phi)
-        rolling = q * jnp.tan(phi) * cos + s["phi_rate"] * sin
-        psi_dot = (needed + rolling) / (lean * cos + jnp.sin(theta) * sin)
-        p, r = s["phi_rate"] - psi_dot * jnp.sin(theta), psi_dot * lean - q * jnp.tan(phi)
-        return {"p": p, "r": r, "psi_dot": psi_dot}
+def modes(dynamics: Dynamics, values: Mapping[str, Any], aircraft: Aircraft, steady: Steady) -> tuple[MotionMode, ...]:
+    """Modes of motion about steady flight with fixed controls, longitudinal ones first, the faster ones first."""
+    if isinstance(dynamics, LinearDynamics):
+        system, states = dynamics.system(values, aircraft), dynamics.states
+        u = {name: jnp.zeros(()) for name in (*dynamics.inputs, *dynamics.rows.by_manoeuvre)}
+        A = jax.jacfwd(lambda x: system.motion(x, u)[0])(jnp.zeros(len(states)))
+        return named_modes(np.asarray(A), states, steady.airspeed)
+    if not isinstance(dynamics, AircraftDynamics):
+        raise InputError("a flight path of recorded accelerations has no modes of motion; fly a model of the aircraft")
+    held = set(dynamics.held) - {"altitude", "psi"}
+    if held:
+        raise InputError(f"the card holds {', '.join(sorted(held))} to the record; leave [fly] held out for modes")
+    model, axes = dynamics.model, set(dynamics.model.axes)
+    values = {name: jnp.asarray(x, float) for name, x in values.items()}
+    actual = model.actual_aircraft(values, aircraft)
+    own = HELD[Axis.LONGITUDINAL] if Axis.LONGITUDINAL not in axes else ()
+    wider = model if own else replace(model, axes=tuple(Axis))
+    u = dict.fromkeys((*CONTROLS, "aileron", "rudder", *SURFACES), 0.0)
+    if own:  # prescribed as in level flight
+        x, alpha = {}, steady.alpha
+        u |= dict.fromkeys(("q", "alpha_dot", "p_dot", "q_dot", "r_dot", "thrust", "thrust_left", "thrust_right"), 0.0)
+        u |= {"airspeed": steady.airspeed, "alpha": alpha, "theta": alpha, "altitude": steady.altitude}
+        u |= {"force_x": GRAVITY * math.sin(alpha), "force_z": -GRAVITY * math.cos(alpha)}
+    else:
+        trim = rigid_trim(wider, values, actual, Condition(steady.airspeed, steady.altitude))
+        x, half = trim.state, 0.5 * trim.thrust
+        u |= {n: trim.controls[n] for n in u if n in trim.controls} | {"altitude": trim.state["altitude"]}
+        u |= {"thrust": trim.thrust, "thrust_left": half, "thrust_right": half}
+    # arrays: one program for every trim
+    x, u = ({name: jnp.asarray(value, float) for name, value in given.items()} for given in (x, u))
+    body = RigidBody(wider, values, actual, altitude=False, held=own, heading=False, euler=True)
+    gusts = {d.state for d in wider.disturbances}
+    states = tuple(n for n in body.start if n not in gusts)
+    A = _linearised(body, states, x, u)
+    kept = [k for k, n in enumerate(states) if Axis.LATERAL in axes or n not in LATERAL]
+    return named_modes(np.asarray(A)[np.ix_(kept, kept)], [states[k] for k in kept], steady.airspeed)
+
+
+def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: float) -> tuple[MotionMode, ...]:
+    """Eigenvalues of the derivative `A` of the rates of `states` by them, SI, by the names of the modes. Velocities are
+    scaled to angles by the airspeed, m/s. A mode whose motion no name fits is called "other"."""
+    if not np.all(np.isfinite(A)):
+        raise InputError("the equations of motion are not finite about steady flight; check the card's constants")
+    kept = [k for k, n in enumerate(states) if n not in WITHOUT_FORCE]
+    own = [states[k] for k in kept]
+    eigenvalues, vectors = np.linalg.eig(np.asarray(A, float)[np.ix_(kept, kept)])
+    scale = np.array([1.0 / airspeed if n in ("airspeed", "u", "w") else 1.0 for n in own])
+    named = []
+    for value, vector in zip(eigenvalues, vectors.T, strict=True):
+        if value.imag >= 0.0:
+            named.append((complex(value), dict(zip(own, np.abs(vector) * scale, strict=True))))
+    named.sort(key=lambda pair: -abs(pair[0]))
+    lateral = [one for one in named if _share(one[1], LATERAL) > 0.5]
+    rest = [one for one in named if _share(one[1], LATERAL) <= 0.5]
+    return (*_longitudinal(rest), *_lateral(lateral, own))
+
+
+Eigenmotions = list[tuple[complex, dict[str, float]]]
+
+
+def _share(motion: Mapping[str, float], names: Sequence[str]) -> float:
+    return sum(motion.get(n, 0.0) ** 2 for n in names) / sum(x**2 for x in motion.values())
+
+
+def _longitudinal(found: Eigenmotions) -> list[MotionMode]:
+    """The faster oscillation is the short period, the slower one the phugoid. A single one is the short period if alpha
+    varies more than speed."""
+    oscillations = [k for k, (value, _) in enumerate(found) if value.imag > 0.0]
+    both = dict(zip(oscillations, (SHORT_PERIOD, PHUGOID), strict=False)) if len(oscillations) > 1 else {}
+    named = []
+    for k, (value, motion) in enumerate(found):
+        name = SHORT_PERIOD if _share(motion, HEAVES) >= _share(motion, SPEEDS) else PHUGOID
+        longitudinal = _share(motion, LONGITUDINAL) > 0.5
+        aperiodic = "" if value.imag > 0.0 else ", aperiodic"
+        named.append(MotionMode(both.get(k, f"{name}{aperiodic}" if longitudinal else OTHER), value))
+    return named
+
+
+def _lateral(found: Eigenmotions, states: Sequence[str]) -> list[MotionMode]:
+    """The oscillation with most sideslip is the Dutch roll; the fastest aperiodic mode is the roll mode. Without
+    sideslip there is neither a Dutch roll nor a spiral, without bank no spiral."""
+    oscillations = sorted((one for one in found if one[0].imag > 0.0), key=lambda one: -_share(one[1], ("beta",)))
+    aperiodic = [one for one in found if one[0].imag == 0.0]
+    names = (DUTCH_ROLL, "lateral phugoid") if "beta" in states else ()
+    named = [MotionMode(names[k] if k < len(names) else OTHER, value) for k, (value, _) in enumerate(oscillations)]
+    first = min(aperiodic, key=lambda one: -_share(one[1], ("p",))) if "beta" not in states and aperiodic else None
+    roll = first or (aperiodic[0] if aperiodic else None)
+    spiral = aperiodic[-1] if {"beta", "phi"} <= set(states) and len(aperiodic) > 1 else None
+    for one in aperiodic:
+        name = ROLL if one is roll and "p" in states else SPIRAL if one is spiral else OTHER
+        named.append(MotionMode(name, one[0]))
+    return named
+
+
+@eqx.filter_jit
+def _linearised(
+    body: RigidBody, moving: tuple[str, ...], x: Mapping[str, Any], u: Mapping[str, Any]
+) -> Float[Array, "s s"]:
+    start = body.complete_start(jnp.stack([jnp.asarray(x.get(name, 0.0), float) for name in body.start]), dict(u))
+    places = jnp.array([body.start.index(n) for n in moving])
+
+    def rates(part):
+        return body.motion(body.state_at_start(start.at[places].set(part)), dict(u))[0][places]
+
+    return jax.jacfwd(rates)(start[places])

@@ -11,6 +11,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 from scipy.fft import next_fast_len
 from scipy.optimize import nnls
 
+from bayes_aero.arrays import AnyArray
+
 BLOCK = 0.2  # s; smoothed residuals vary no faster
 MIN_INNOVATIONS = 10  # for each coefficient of an autoregression; with fewer, blocks count as independent
 MIN_RESIDUAL_SHARE = 0.05  # least share 1 - h of an innovation that the fit leaves, with the leverage h of its block
@@ -149,12 +151,10 @@ class LinearFit:
 
     @cached_property
     def weights(self) -> Float[np.ndarray, "w n c k"]:
-        """Derivatives of the estimates by the outputs."""
         return (self.S / self.R[:, None]) @ self.D
 
     @cached_property
     def _state_covariance(self) -> Float[np.ndarray, "w s s"]:
-        """Covariance of the initial states at given parameters; zero where they are not fitted."""
         fitted = np.isfinite(self.precision)
         A = np.einsum("wncs,c,wnct->wst", self.own, 1.0 / self.R, self.own, optimize=True)
         A = A + np.diag(np.where(fitted, self.precision, 0.0))
@@ -164,7 +164,6 @@ class LinearFit:
         return scale * np.linalg.pinv(scale * A, hermitian=True)
 
     def residual(self, noise: Float[np.ndarray, "... w n c"]) -> Float[np.ndarray, "... w n c"]:
-        """What the fit leaves of the noise."""
         theta = np.einsum("wnck,...wnc->...k", self.weights, noise, optimize=True)
         states = np.einsum("wnct,...wnc->...wt", self.own, noise / self.R, optimize=True)
         states = np.einsum("wst,...wt->...ws", self._state_covariance, states)
@@ -172,7 +171,6 @@ class LinearFit:
         return noise - taken - np.einsum("wncs,...ws->...wnc", self.own, states, optimize=True)
 
     def corrected(self, residual: Float[np.ndarray, "w n c"]) -> Float[np.ndarray, " k"]:
-        """Variances by `corrected_covariance`."""
         segment = np.nonzero(self.inside)[0]
         start = np.diff(segment, prepend=-1) != 0
         seen = (self.S[self.inside], self.R, residual[self.inside], segment, start)
@@ -203,14 +201,12 @@ def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float)
     L = np.fft.rfft(shapes[..., norm > 0.0] / norm[norm > 0.0], size, axis=1)
 
     def left(intensity: Float[np.ndarray, " j"]) -> Float[np.ndarray, "d w n c"]:
-        """Residuals of the fit to draws of the noise."""
         on = np.flatnonzero(intensity)
         white = rng.standard_normal((DRAWS, w, n, len(on))) * np.sqrt(intensity[on])
         spectrum = np.einsum("wfcj,dwfj->dwfc", L[..., on], np.fft.rfft(white, size, axis=2), optimize=True)
         return fit.residual(np.fft.irfft(spectrum, size, axis=2)[:, :, :n] * fit.inside[:, :, None])
 
     def squares(x: Float[np.ndarray, "d w n c"]) -> Float[np.ndarray, "d j"]:
-        """Sums of squares of the projections on each response at each time."""
         along = np.einsum("wfcj,dwfc->dwfj", L.conj(), np.fft.rfft(x, size, axis=2), optimize=True)
         return np.sum(np.fft.irfft(along, size, axis=2)[:, :, :n] ** 2, axis=(1, 2))
 
@@ -223,6 +219,18 @@ def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float)
     drawn = np.array([fit.corrected(x) for x in left(intensity)])
     moving = np.all(drawn > 0.0, axis=0)
     return np.where(moving, exact * np.mean(1.0 / np.where(moving, drawn, 1.0), axis=0), 1.0)
+
+
+def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray, " j"]) -> Float[np.ndarray, "j j"]:
+    """Inverse of the information of the estimated variables; zero for held ones and those without information."""
+    # The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
+    # beside angles in radians.
+    informed = moving & (np.diag(information) > 0.0)
+    block = information[np.ix_(informed, informed)]
+    scale = np.sqrt(np.outer(np.diag(block), np.diag(block)))
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(informed, informed)] = np.linalg.pinv(block / scale, hermitian=True) / scale
+    return covariance
 
 
 # --- Covariance from the scatter between blocks of a record, for any autocorrelation within a block.
@@ -339,3 +347,33 @@ def median_inflation(inflation: Float[np.ndarray, " k"]) -> float:
 def nats(deviance: float, inflation: float) -> float:
     """Log likelihood of a decrease of the deviance of white residuals, divided by the variance inflation (>= 1)."""
     return deviance / (2.0 * max(inflation, 1.0))
+
+
+# --- Log scores of predictions of hold-out data.
+
+
+def log_density(error: Float[AnyArray, "*n"], variance: Float[AnyArray, "*#n"]) -> Float[np.ndarray, "*n"]:
+    """Log density of each error of a normal prediction with this variance."""
+    return -0.5 * (error**2 / variance + np.log(2.0 * np.pi * variance))
+
+
+def log_score_gain(
+    before: Float[np.ndarray, " m"], after: Float[np.ndarray, " m"], inflation: float, lengths: Sequence[int]
+) -> tuple[float, float]:
+    """Gain in log score of one prediction over another of the same hold-out data, and its standard error, nats."""
+    # Log densities of m samples, in independent stretches of these `lengths`; the gain is over the variance
+    # `inflation`.
+    difference = (after - before) / inflation
+    return float(difference.sum()), standard_error_of_sum(difference, lengths)
+
+
+def log_score_gains(
+    names: Sequence[str],
+    before: Float[np.ndarray, "m c"],
+    after: Float[np.ndarray, "m c"],
+    inflation: float,
+    lengths: Sequence[int],
+) -> dict[str, tuple[float, float]]:
+    """`log_score_gain` of each output by itself, by name; log densities are (m, c)."""
+    pairs = zip(names, before.T, after.T, strict=True)
+    return {name: log_score_gain(one, other, inflation, lengths) for name, one, other in pairs}

@@ -1,6 +1,6 @@
 """Fits in a band of frequencies: lines of the band, Gauss-Newton with Cramer-Rao bounds, frequency responses.
 
-The cost is that of `inference.likelihood.mle`, det R with a diagonal R. The estimates are real, so the real and the
+The cost is that of `inference.mle`, det R with a diagonal R. The estimates are real, so the real and the
 imaginary part of a line count as two residuals. Published bounds count the line as one and are larger by sqrt(2).
 
 Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 7.
@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 from scipy.signal import csd
 
-from bayes_aero.dynamics.flight import Dynamics, unbiased
-from bayes_aero.dynamics.linear import LinearDynamics, LinearSystem
+from bayes_aero.dynamics.flight import Dynamics, LinearDynamics, unbiased
+from bayes_aero.dynamics.system import LinearSystem
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.card_tables import ONE
@@ -28,6 +28,7 @@ from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import BLOCK, robust_covariance
 from bayes_aero.inference.mle import noise_bias, scaled_inverse
+from bayes_aero.inference.optimise import Evaluation, Rule, Vector, minimise, truncated_step
 from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, MleResult
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
@@ -44,7 +45,6 @@ from bayes_aero.residuals.equation_error import (
 
 EQUATION_ERROR, OUTPUT_ERROR = "equation error", "output error"
 EXACT = 1e-100  # least variance of an output that its model reproduces: information is still a number
-MAX_ITERATIONS = 50
 REWEIGHTED = 5  # solutions with renewed variances at one point
 TOLERANCE = 1e-4  # gain in log likelihood of one more step: 0.014 standard errors
 UNSEEN = 1e-6  # information over that of the prior below which the band does not show a parameter
@@ -60,49 +60,68 @@ class BandStep(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """Minus the log likelihood but for a constant."""
         return 0.5 * len(self.left) * float(np.sum(np.log(self.R)))
 
 
+class _Lines:
+    """Minus the log likelihood of the lines of a band as a `Problem`, variances and offsets at their optimum."""
+
+    def __init__(self, responses: InBand, parameters: Sequence[Parameter], theta: Vector) -> None:
+        residual, S = responses.linearise(theta)
+        size = 1.0 / np.maximum(np.mean(np.square(residual), axis=0), EXACT)
+        information = np.einsum("mck,mck,c->k", S, S, size)
+        self.moving = information * np.square([p.prior.normal[1] for p in parameters]) > UNSEEN
+        self.bounds = np.array([p.bounds for p in parameters], float).reshape(-1, 2)
+        self.step_limit, self.free, self.responses = np.full(len(theta), np.inf), self.moving.copy(), responses
+        offsets = responses.offsets(theta, responses.outputs)
+        self.moved, self.tried = responses, (residual, S[:, :, self.free], offsets, solve(residual, offsets).cost)
+
+    def cost(self, point: Vector) -> float:
+        """At the best offsets for the step that leads there; those of the states change the sensitivities."""
+        if point is not self.point:
+            residual, S = self.moved.linearise(point, np.flatnonzero(self.free))
+            offsets = self.moved.offsets(point, self.moved.outputs)
+            self.tried = residual, S, offsets, solve(residual, offsets).cost
+        return self.tried[-1]
+
+    def evaluate(self, point: Vector) -> Evaluation:
+        """At the point that was tried last; parameters at a bound that lead out are held from now on."""
+        residual, S, offsets, cost = self.tried
+        self.point, self.responses, step = point, self.moved, np.zeros(len(point))
+        while True:
+            solution = solve(residual, np.concatenate([S, offsets], axis=2))
+            step[self.free] = solution.step[: S.shape[2]]
+            out = self.free & np.any((point[:, None] - self.bounds) * [1, -1] <= 0.0, axis=1)
+            out &= np.where(point <= self.bounds[:, 0], step < 0.0, step > 0.0)
+            if not out.any():
+                break
+            self.free, step[out] = self.free & ~out, 0.0
+            S = self.responses.linearise(point, np.flatnonzero(self.free))[1]
+        self.solution, self.moved = solution, self.responses.moved(solution.step[S.shape[2] :])
+        weighed, beside = ((x / np.sqrt(solution.R)[:, None]).reshape(residual.size, -1) for x in (S, offsets))
+        weighed = weighed - beside @ np.linalg.lstsq(beside, weighed, rcond=None)[0]
+        information, free = np.eye(len(point)), np.ix_(self.free, self.free)
+        information[free] = weighed.T @ weighed
+        return Evaluation(cost, -information @ step, information, cost - solution.cost)
+
+
+RULE = Rule(
+    step=truncated_step,
+    gain=lambda *_: 0.0,  # that of the reweighted solution is exact, and given as `Evaluation.gain`
+    trials=lambda _: ((share, 0.0) for share in (1.0, 0.5, 0.25, 0.125, 0.03)),
+    last=np.inf,  # rounding: no step lowers the cost
+    max_steps=50,
+)
+
+
 def fit_in_band(
-    responses: InBand,
-    parameters: Sequence[Parameter],
-    start: Float[np.ndarray, " k"],
-    band: Band,
-    method: str = EQUATION_ERROR,
+    responses: InBand, parameters: Sequence[Parameter], start: Vector, band: Band, method: str = EQUATION_ERROR
 ) -> FrequencyFit:
     """Estimate the free parameters from residuals in a band (Hz), by a model of `residuals.frequency_error`."""
     # Parameters that the band does not show, such as constants, keep their start, SI, of a fit in the time domain.
-    theta, outputs = np.asarray(start, float).copy(), responses.outputs
-    lower, upper = (np.array([p.bounds[i] for p in parameters]) for i in (0, 1))
-    residual, S = responses.linearise(theta)
-    information = np.einsum("mck,mck,c->k", S, S, 1.0 / np.maximum(np.mean(np.square(residual), axis=0), EXACT))
-    free = np.flatnonzero(information * np.square([p.prior.normal[1] for p in parameters]) > UNSEEN)
-    offsets, converged, at_bound = responses.offsets(theta, outputs), False, []
-    solution = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
-    for _ in range(MAX_ITERATIONS):
-        step = solution.step[: len(free)]
-        outward = ((theta[free] <= lower[free]) & (step < 0.0)) | ((theta[free] >= upper[free]) & (step > 0.0))
-        if outward.any():  # held there from now on
-            at_bound, free = [*at_bound, *free[outward]], free[~outward]
-            solution = solve(residual, np.concatenate([responses.linearise(theta, free)[1], offsets], axis=2))
-            continue
-        before = solve(residual, offsets).cost
-        if converged := before - solution.cost < TOLERANCE:
-            break
-        responses = responses.moved(solution.step[len(free) :])
-        for share in (1.0, 0.5, 0.25, 0.125, 0.03):
-            trial = theta.copy()
-            trial[free] = np.clip(theta[free] + share * step, lower[free], upper[free])
-            changed, S_free = responses.linearise(trial, free)
-            trial_offsets = responses.offsets(trial, outputs)
-            if solve(changed, trial_offsets).cost < before:
-                break
-        else:
-            converged = True  # rounding: no step lowers the cost
-            break
-        theta, residual, offsets = trial, changed, trial_offsets
-        solution = solve(residual, np.concatenate([S_free, offsets], axis=2))
+    lines = _Lines(responses, parameters, np.asarray(start, float))
+    theta, _, converged, _ = minimise(lines, np.array(start, float), lines.evaluate, TOLERANCE, RULE)
+    free, solution, responses, outputs = np.flatnonzero(lines.free), lines.solution, lines.responses, responses.outputs
     S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, outputs)], axis=2)
     m, k = len(S), len(free)
     R, D = cramer_rao(S, solution.R)
@@ -120,9 +139,9 @@ def fit_in_band(
         corrected=corrected[:k, :k],
         inner={name: S[:, c, :k].T @ S[:, c, :k] for c, name in enumerate(outputs)},
         R=dict(zip(outputs, map(float, R), strict=True)),
-        unseen=tuple(p.name for i, p in enumerate(parameters) if i not in (*free, *at_bound)),
+        unseen=tuple(p.name for p, shown in zip(parameters, lines.moving, strict=True) if not shown),
         converged=converged and regular,
-        at_bound=tuple(parameters[i].name for i in at_bound),
+        at_bound=tuple(parameters[int(i)].name for i in np.flatnonzero(lines.moving & ~lines.free)),
     )
 
 
@@ -283,7 +302,6 @@ def frequency_responses(flights: Flights, dynamics: LinearDynamics, fit: Frequen
 def _measured(
     flights: Flights, u: Float[np.ndarray, "i n"], y: Float[np.ndarray, "o n"]
 ) -> tuple[Float[np.ndarray, " f"], Complex[np.ndarray, "f o i"], Float[np.ndarray, "f o i"], Float[np.ndarray, "f o"]]:
-    """Frequencies, responses with their standard errors, and the multiple coherence of each output."""
     dt = float(np.asarray(flights.channels["dt"])[0])
     size = min(round(SEGMENT / dt), min(flights.lengths) // 2)
     both, total = np.concatenate([u, y]), 0.0

@@ -21,12 +21,28 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import noise_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import robust_covariance
-from bayes_aero.inference.optimise import Evaluation, Rule, at_bounds, minimise, newton_gain, truncated_step
-from bayes_aero.inference.results import MleResult, MleStatus, active_bounds, prior_conflicts
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.optimise import (
+    Evaluation,
+    Rule,
+    Square,
+    Vector,
+    at_bounds,
+    minimise,
+    newton_gain,
+    truncated_step,
+)
+from bayes_aero.inference.results import (
+    CONFLICT_LIMIT,
+    MIN_SHIFT,
+    ActiveBound,
+    MleResult,
+    MleStatus,
+    PriorConflict,
+    score,
+)
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, Observations, observe
-from bayes_aero.parameter import Role
+from bayes_aero.parameter import Parameter, Role
 from bayes_aero.physics.aircraft import Aircraft
 
 MAX_ITERATIONS = 100
@@ -37,75 +53,63 @@ MIN_X_RANGE = 0.05  # range of the separation point over a record below which th
 
 
 @dataclass(frozen=True)
-class _Descent:
+class Descent:
+    """Where Gauss-Newton ended from one start."""
+
     point: GaussNewtonPoint
     converged: bool
-    iterations: int
     active: np.ndarray  # whether a parameter is at a bound
 
     @property
-    def theta(self) -> Float[np.ndarray, " k"]:
-        """The estimate."""
+    def theta(self) -> Vector:
         return self.point.theta
 
     @property
     def cost(self) -> float:
-        """Infinite where the fit is not defined."""
         regular = np.isfinite(self.point.cost) and np.all(np.isfinite(self.point.information))
         return self.point.cost if regular else np.inf
 
-    def regular(self, data: Data) -> bool:
-        """Whether the separation point varies in the fit, and its break angle is not at a bound."""
-        if not np.isfinite(self.cost):
-            return False
+    def outcome(self, data: Data) -> str:
+        """Degenerate where the separation point does not vary in the fit, or its break angle is at a bound."""
         breaks = [p.role is Role.BREAK_ANGLE for p in data.model.free]
-        if not any(breaks):
-            return True
-        X = np.asarray(evaluate(data, jnp.asarray(self.theta))[2])
-        return not bool(np.any(self.active & breaks) or np.ptp(X) < MIN_X_RANGE)
+        degenerate = not np.isfinite(self.cost)
+        if any(breaks) and not degenerate:
+            X = np.asarray(evaluate(data, jnp.asarray(self.theta))[2])
+            degenerate = bool(np.any(self.active & breaks) or np.ptp(X) < MIN_X_RANGE)
+        return "degenerate" if degenerate else "converged" if self.converged else "not converged"
 
 
 class _Coefficients:
     """The cost of a model's coefficients as a `Problem`, from the end of full steps; the last point is kept."""
 
-    def __init__(self, data: Data, start: Float[np.ndarray, " k"]) -> None:
+    def __init__(self, data: Data, start: Vector) -> None:
         self.data, self.bounds = data, np.array([p.bounds for p in data.model.free], float).reshape(-1, 2)
         self.moving, self.step_limit = np.ones(len(start), bool), np.full(len(start), np.inf)
         self.point = self.tried = self._steps(np.clip(start, *self.bounds.T), MAX_ITERATIONS)
 
-    def _steps(self, theta: Float[np.ndarray, " k"], most: int) -> GaussNewtonPoint:
+    def _steps(self, theta: Vector, most: int) -> GaussNewtonPoint:
         return full_steps(self.data, theta, self.bounds[:, 0], self.bounds[:, 1], TOLERANCE, most)
 
-    def cost(self, point: Float[np.ndarray, " k"]) -> float:
-        """The cost at a point."""
+    def cost(self, point: Vector) -> float:
         self.tried = self.point if point is self.point.theta else self._steps(point, 0)
         return self.tried.cost
 
-    def evaluate(self, point: Float[np.ndarray, " k"]) -> Evaluation:
-        """Cost, gradient and information at the point that was tried last."""
-        if point is not self.point.theta:
-            self.point = self.tried
+    def evaluate(self, point: Vector) -> Evaluation:
+        self.point = self.point if point is self.point.theta else self.tried
         return Evaluation(self.point.cost, -self.point.gradient, self.point.information)
 
 
 SHARES_AND_DAMPINGS = (*((share, 0.0) for share in (1.0, 0.5, 0.25, 0.125)), *((1.0, 10.0**k) for k in range(-3, 6)))
-RULE = Rule(
-    step=truncated_step,
-    gain=newton_gain,
-    trials=lambda _: SHARES_AND_DAMPINGS,
-    after=lambda *_: 0.0,
-    last=1e-5,
-    max_steps=MAX_ITERATIONS,
-)
+RULE = Rule(truncated_step, newton_gain, lambda _: SHARES_AND_DAMPINGS, last=1e-5, max_steps=MAX_ITERATIONS)
 
 
-def descend(model: Model, observations: Observations, start: Float[np.ndarray, " k"]) -> _Descent:
+def descend(model: Model, observations: Observations, start: Vector) -> Descent:
     """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set."""
     # Full steps run compiled as long as they lower the cost and stay inside the bounds; the remaining steps run here.
     problem = _Coefficients(data_of(model, observations), start)
     first = problem.point
     theta, at, converged, steps = minimise(problem, first.theta, problem.evaluate, TOLERANCE, RULE, steps=first.steps)
-    return _Descent(problem.point, converged, steps, at_bounds(problem, theta, at.gradient))
+    return Descent(problem.point._replace(steps=steps), converged, at_bounds(problem, theta, at.gradient))
 
 
 def fit_mle(
@@ -113,7 +117,7 @@ def fit_mle(
     observations: Observations,
     *,
     extra_starts: int = 6,
-    start: Float[np.ndarray, " k"] | None = None,
+    start: Vector | None = None,
     seed: int = 0,
 ) -> MleResult:
     """Maximum-likelihood estimate of the model's free parameters."""
@@ -124,20 +128,15 @@ def fit_mle(
     for _ in range(extra_starts):
         draw = [float(p.prior.sample(rng, 1)[0]) for p in model.free]
         starts.append(np.array([np.clip(x, *p.bounds) for x, p in zip(draw, model.free, strict=True)]))
-    runs = [descend(model, observations, s) for s in starts]
-    regular = [run.regular(data) for run in runs]
-    usable = [run for run, good in zip(runs, regular, strict=True) if good and run.converged]
-    usable = usable or [run for run, good in zip(runs, regular, strict=True) if good] or runs
-    table = tuple(
-        (run.cost, "degenerate" if not good else "converged" if run.converged else "not converged")
-        for run, good in zip(runs, regular, strict=True)
-    )
-    return _result(data, observations, min(usable, key=lambda run: run.cost), any(regular), table)
+    runs = [(run, run.outcome(data)) for run in (descend(model, observations, s) for s in starts)]
+    regular = [run for run, outcome in runs if outcome != "degenerate"]
+    usable = [run for run, outcome in runs if outcome == "converged"] or regular or [run for run, _ in runs]
+    table = tuple((run.cost, outcome) for run, outcome in runs)
+    return _result(data, observations, min(usable, key=lambda run: run.cost), bool(regular), table)
 
 
-def scaled_inverse(A: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
-    """The inverse of an information or covariance, NaN where it is singular; eigenvalues of A scaled to unit
-    diagonal."""
+def scaled_inverse(A: Square) -> tuple[Square, Vector]:
+    """Inverse of an information or covariance, NaN where singular; eigenvalues of A scaled to unit diagonal."""
     scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
     scaled = A / np.outer(scale, scale)
     eigenvalues = np.linalg.eigvalsh(scaled)
@@ -147,24 +146,21 @@ def scaled_inverse(A: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k k"
 
 
 def _result(
-    data: Data, observations: Observations, best: _Descent, regular: bool, table: tuple[tuple[float, str], ...]
+    data: Data, observations: Observations, best: Descent, regular: bool, table: tuple[tuple[float, str], ...]
 ) -> MleResult:
     model, theta, R, A = data.model, best.theta, best.point.R, best.point.information
     residual, S, X = map(np.asarray, evaluate(data, jnp.asarray(theta)))
     measured = np.asarray(observations.measured)
     inverse, eigenvalues = scaled_inverse(A)
-    singular = not eigenvalues[0] > SINGULAR
     start = np.asarray(observations.start)
     corrected, blocks = robust_covariance(inverse, S, R, residual, observations.manoeuvre, start, observations.dt)
     sd = np.sqrt(np.diag(corrected))
-    if not regular:
-        status = MleStatus.STALL_NOT_IDENTIFIED
-    elif singular:
-        status = MleStatus.SINGULAR
-    elif not best.converged:
-        status = MleStatus.NOT_CONVERGED
-    else:
-        status = MleStatus.AT_BOUND if best.active.any() else MleStatus.CONVERGED
+    status = (
+        MleStatus.STALL_NOT_IDENTIFIED if not regular
+        else MleStatus.SINGULAR if not eigenvalues[0] > SINGULAR
+        else MleStatus.NOT_CONVERGED if not best.converged
+        else MleStatus.AT_BOUND if best.active.any() else MleStatus.CONVERGED
+    )  # fmt: skip
     inside, by_coefficient = ~start[1:], dict(zip(observations.coefficients, residual.T, strict=True))
     return MleResult(
         parameters=model.free,
@@ -173,7 +169,7 @@ def _result(
         corrected=corrected,
         R=R,
         status=status,
-        iterations=best.iterations,
+        iterations=best.point.steps,
         at_bound=tuple(n for n, a in zip(model.names, best.active, strict=True) if a),
         eigenvalues=eigenvalues,
         separation=(float(X.min()), float(X.max())),
@@ -201,8 +197,8 @@ PAIRS = 5  # of records with the same noise added and subtracted, so that the li
 
 
 def noise_bias(
-    estimate: Float[np.ndarray, " k"], draw: Callable[[], Any], refit: Callable[[Any, float], np.ndarray | None]
-) -> Float[np.ndarray, " k"] | None:
+    estimate: Vector, draw: Callable[[], Any], refit: Callable[[Any, float], np.ndarray | None]
+) -> Vector | None:
     """Mean change of an estimate by noise: `refit` adds a `draw` of it, times a sign. None where a fit fails."""
     moves = []
     for _ in range(PAIRS):
@@ -275,16 +271,15 @@ def data_of(model: Model, observations: Observations) -> Data:
 class GaussNewtonPoint(NamedTuple):
     """The fit at `theta` after `steps` steps. The gradient is that of the log-likelihood at constant R."""
 
-    theta: Float[np.ndarray, " k"]
+    theta: Vector
     cost: float  # (n/2) log det R: the concentrated negative log-likelihood without its constant
     R: Float[np.ndarray, " c"]
-    information: Float[np.ndarray, "k k"]  # sum S' R^-1 S
-    gradient: Float[np.ndarray, " k"]
+    information: Square  # sum S' R^-1 S
+    gradient: Vector
     steps: int
 
 
 def _sensitivities(data: Data, theta: Float[Array, " k"]):
-    """Per coefficient the residual (n,) and the sensitivities S (k, n); and the separation point (n,)."""
     # One parameter at a time, so that JAX omits derivatives that are zero or constant; what the parameters share is
     # compiled once. Parameters come before samples, so that matrix products are contiguous.
     values = data.model.values(theta)
@@ -307,16 +302,11 @@ def evaluate(data: Data, theta: Float[Array, " k"]):
 
 
 def full_steps(
-    data: Data,
-    start: Float[np.ndarray, " k"],
-    lower: Float[np.ndarray, " k"],
-    upper: Float[np.ndarray, " k"],
-    tolerance: float,
-    max_steps: int,
+    data: Data, start: Vector, lower: Vector, upper: Vector, tolerance: float, max_steps: int
 ) -> GaussNewtonPoint:
-    """At most `max_steps` full Gauss-Newton steps from `start`, while each lowers the cost and stays within the bounds.
-    Their last steps shrink by a constant factor, which Anderson acceleration estimates (Walker and Ni 2011, SIAM J.
-    Numer. Anal. 49, 1715)."""
+    """At most `max_steps` full Gauss-Newton steps from `start`, while each lowers the cost and stays in the bounds."""
+    # Their last steps shrink by a constant factor, which Anderson acceleration estimates (Walker and Ni 2011, SIAM J.
+    # Numer. Anal. 49, 1715).
     arguments = map(jnp.asarray, (start, lower, upper, tolerance, max_steps))  # none static: one compilation
     theta, cost, R, information, gradient, steps = map(np.asarray, _full_steps(data, *arguments))
     return GaussNewtonPoint(theta, float(cost), R, information, gradient, int(steps))
@@ -374,3 +364,47 @@ def _full_steps(data: Data, start: Array, lower: Array, upper: Array, tolerance:
     nothing, empty = jnp.zeros(k), jnp.zeros((ANDERSON_MEMORY, k))
     begin = (no_point, nothing, nothing, empty, empty, True)
     return jax.lax.while_loop(lambda state: state[-1], body, begin)[0]
+
+
+# --- Restraints on estimates: priors that the data contradict, and active bounds.
+
+
+def prior_conflicts(parameters: Sequence[Parameter], estimate: Vector, deviation: Vector) -> tuple[PriorConflict, ...]:
+    """Priors that the `estimate` by likelihood alone contradicts, by its corrected standard error; strongest first."""
+    conflicts = []
+    for p, x, sd in zip(parameters, estimate, deviation, strict=True):
+        if p.prior.family == "uniform" or not np.isfinite(sd):
+            continue
+        mean, wide = p.prior.normal
+        difference, scatter = x - mean, sd
+        if p.prior.family == "lognormal" and x > 0.0:  # on the scale on which it is normal
+            difference = p.prior.location * np.log(x / p.prior.location)
+            scatter = sd * p.prior.location / x
+        distance = abs(difference) / np.hypot(scatter, wide)
+        if distance > CONFLICT_LIMIT:
+            both = (mean, wide), (float(x), float(sd))
+            conflicts.append(PriorConflict(p.name, p.unit, *both, float(distance), p.prior.source))
+    return tuple(sorted(conflicts, key=lambda c: -c.distance))
+
+
+def active_bounds(
+    parameters: Sequence[Parameter],
+    estimate: Vector,
+    gradient: Vector,
+    inverse: Square,
+    deviation: Vector,
+    active: Sequence[bool] | np.ndarray,
+) -> tuple[ActiveBound, ...]:
+    """Effect of each active bound on the estimates."""
+    # `gradient` of the log-likelihood: zero except for the active parameters. `inverse` of the information, active
+    # parameters included. `deviation`: corrected standard errors.
+    found = []
+    for i in map(int, np.flatnonzero(active)):
+        step = inverse[:, i] * gradient[i]
+        if not np.isfinite(step).all():
+            step = np.zeros_like(step)
+        moves = {p.name: float(step[j] / deviation[j]) for j, p in enumerate(parameters) if j != i and deviation[j] > 0}
+        shifts = sorted(((n, x) for n, x in moves.items() if abs(x) > MIN_SHIFT), key=lambda item: -abs(item[1]))
+        p, lower, free = parameters[i], bool(gradient[i] < 0.0), float(estimate[i] + step[i])
+        found.append(ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
+    return tuple(found)

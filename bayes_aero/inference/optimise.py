@@ -20,48 +20,46 @@ POWELL_RATIO = 0.2  # least curvature along a step after an update, relative to 
 SINGULAR = 1e-14  # of the largest eigenvalue
 TINY = 1e-300
 
+Vector = Float[np.ndarray, " k"]
+Square = Float[np.ndarray, "k k"]
+Limits = Float[np.ndarray, "k 2"]
+
 
 class Evaluation(NamedTuple):
-    """Cost, gradient (j,) and expected information (j, j) at a point; `gain` is what the best step of eliminated
-    variables, such as initial states, is expected to lower the cost by."""
+    """At a point; `gain` is what the best step of eliminated variables is expected to lower the cost by."""
 
     cost: float
-    gradient: Float[np.ndarray, " j"]
-    information: Float[np.ndarray, "j j"]
+    gradient: Vector
+    information: Square  # the expected one
     gain: float = 0.0
 
 
 @runtime_checkable
 class Problem(Protocol):
-    """A cost to be minimised over j variables."""
+    """A cost to be minimised over k variables."""
 
     # `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
     @property
-    def moving(self) -> Bool[np.ndarray, " j"]: ...
+    def moving(self) -> Bool[np.ndarray, " k"]: ...
 
     @property
-    def bounds(self) -> Float[np.ndarray, "j 2"]: ...
+    def bounds(self) -> Limits: ...
 
     @property
-    def step_limit(self) -> Float[np.ndarray, " j"]: ...
+    def step_limit(self) -> Vector: ...
 
-    def cost(self, point: Float[np.ndarray, " j"]) -> float:
-        """The cost at a point."""
-        ...
-
-
-Step = Callable[[np.ndarray, np.ndarray, np.ndarray, float, float], np.ndarray]
+    def cost(self, point: Vector) -> float: ...
 
 
 class Rule(NamedTuple):
-    """How a search steps. `step`: from curvature, minus gradient, limits, damping and share; `gain`: expected gain of
-    an undamped step, from the first three; `trials`: shares and dampings to try, from the last damping; `after`: the
-    next damping, from that of an accepted step and its ratio of actual to expected gain."""
+    """How a search steps."""
 
-    step: Step
-    gain: Callable[[np.ndarray, np.ndarray, np.ndarray], float]
-    trials: Callable[[float], Iterable[tuple[float, float]]]
-    after: Callable[[float, float], float]
+    step: Callable[[np.ndarray, np.ndarray, np.ndarray, float, float], np.ndarray]
+    """From curvature, minus gradient, limits, damping and share."""
+    gain: Callable[[np.ndarray, np.ndarray, np.ndarray], float]  # expected of an undamped step, from the first three
+    trials: Callable[[float], Iterable[tuple[float, float]]]  # shares and dampings to try, from the last damping
+    after: Callable[[float, float], float] = lambda *_: 0.0
+    """The next damping, from that of an accepted step and its ratio of actual to expected gain."""
     first: float = 0.0  # damping
     ratio: float = -math.inf  # least ratio of actual to expected gain of a step that is accepted
     last: float = -math.inf  # expected gain below which a search that finds no better point has converged
@@ -73,17 +71,16 @@ class Rule(NamedTuple):
 
 def minimise(
     problem: Problem,
-    point: Float[np.ndarray, " j"],
+    point: Vector,
     evaluate: Callable[[np.ndarray], Evaluation],
     tolerance: float,
     rule: Rule | None = None,
     *,
     steps: int = 0,
     stopped: Callable[[], bool] | None = None,
-) -> tuple[Float[np.ndarray, " j"], Evaluation, bool, int]:
-    """Minimise the cost until the expected gain of a step is below `tolerance`: the last point, its evaluation, whether
-    the search converged, and the number of steps, counted from `steps`. `evaluate` is called at accepted points.
-    `rule`: by default `SCORING`."""
+) -> tuple[Vector, Evaluation, bool, int]:
+    """The last point, its evaluation, whether a step is expected to gain less than `tolerance`, and count of steps."""
+    # `evaluate` is called at accepted points, after their cost; `rule` is by default `SCORING`.
     rule = rule or SCORING
     current, cost, damping = evaluate(point), problem.cost(point), rule.first
     moving, converged, curvature = problem.moving, False, current.information
@@ -119,9 +116,7 @@ def minimise(
     return point, current._replace(cost=cost if math.isfinite(current.cost) else current.cost), converged, steps
 
 
-def at_bounds(
-    problem: Problem, point: Float[np.ndarray, " j"], gradient: Float[np.ndarray, " j"]
-) -> Bool[np.ndarray, " j"]:
+def at_bounds(problem: Problem, point: Vector, gradient: Vector) -> Bool[np.ndarray, " k"]:
     """Variables at a bound that lower the cost beyond it."""
     lower, upper = problem.bounds.T
     return ((point <= lower) & (gradient > 0.0)) | ((point >= upper) & (gradient < 0.0))
@@ -136,29 +131,23 @@ def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
     return np.linalg.lstsq(scaled, g / scale, rcond=1e-14)[0] / scale
 
 
-def expected_gain(A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], step: Float[np.ndarray, " j"]) -> float:
+def expected_gain(A: Square, g: Vector, step: Vector) -> float:
     """Decrease of a cost with gradient -g and curvature A along a step."""
     return float(g @ step - 0.5 * step @ A @ step)
 
 
-def held_at_bounds(g: Float[np.ndarray, " j"], limits: Float[np.ndarray, "j 2"]) -> Bool[np.ndarray, " j"]:
+def held_at_bounds(g: Vector, limits: Limits) -> Bool[np.ndarray, " k"]:
     """Variables at a bound that Newton's step would cross."""
     return (limits[:, 0] >= 0.0) & (g < 0.0) | (limits[:, 1] <= 0.0) & (g > 0.0)
 
 
-def newton_gain(A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], limits: Float[np.ndarray, "j 2"]) -> float:
+def newton_gain(A: Square, g: Vector, limits: Limits) -> float:
     """Expected gain of Newton's step of the variables that are not held at a bound."""
     inner = ~held_at_bounds(g, limits)
     return 0.5 * float(solve(A[np.ix_(inner, inner)], g[inner], 0.0) @ g[inner])
 
 
-def truncated_step(
-    A: Float[np.ndarray, "j j"],
-    g: Float[np.ndarray, " j"],
-    limits: Float[np.ndarray, "j 2"],
-    damping: float,
-    share: float = 1.0,
-) -> Float[np.ndarray, " j"]:
+def truncated_step(A: Square, g: Vector, limits: Limits, damping: float, share: float = 1.0) -> Vector:
     """A share of Newton's damped step truncated at `limits`; variables at a bound that they would cross are held."""
     inner = ~held_at_bounds(g, limits)
     step = np.zeros(len(g))
@@ -166,13 +155,7 @@ def truncated_step(
     return np.clip(step, *limits.T)
 
 
-def bounded_step(
-    A: Float[np.ndarray, "j j"],
-    g: Float[np.ndarray, " j"],
-    limits: Float[np.ndarray, "j 2"],
-    damping: float,
-    _share: float = 1.0,
-) -> Float[np.ndarray, " j"]:
+def bounded_step(A: Square, g: Vector, limits: Limits, damping: float, _share: float = 1.0) -> Vector:
     """The step d that minimises 1/2 d (A + damping diag A) d - g d within `limits`; Newton's if that is inside."""
     # Newton's step truncated at the limits is another one: a variable without information (a noise that is zero) would
     # change all the others.
@@ -184,9 +167,7 @@ def bounded_step(
     return lsq_linear(left, right, (limits * scale[:, None]).T, method="bvls", tol=1e-12).x / scale
 
 
-def bfgs_update(
-    A: Float[np.ndarray, "j j"], step: Float[np.ndarray, " j"], change: Float[np.ndarray, " j"]
-) -> Float[np.ndarray, "j j"]:
+def bfgs_update(A: Square, step: Vector, change: Vector) -> Square:
     """The curvature A updated with the `change` of the gradient along a step; Powell's damping keeps it positive."""
     product = A @ step
     expected, actual = float(step @ product), float(step @ change)
@@ -210,9 +191,7 @@ SCORING = Rule(
     step=bounded_step,
     gain=lambda A, g, limits: expected_gain(A, g, bounded_step(A, g, limits, 0.0)),
     trials=lambda damping: ((1.0, damping * 10.0**k) for k in range(MAX_TRIALS)),
-    after=lambda damping, ratio: (
-        max(10.0 * damping, POOR_DAMPING) if ratio < POOR_RATIO else max(MIN_DAMPING, 0.1 * damping)
-    ),
+    after=lambda d, ratio: max(10.0 * d, POOR_DAMPING) if ratio < POOR_RATIO else max(MIN_DAMPING, 0.1 * d),
     first=FIRST_DAMPING,
     quasi_newton=True,
 )

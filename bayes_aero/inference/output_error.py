@@ -7,18 +7,24 @@ Gauss-Newton with Levenberg and Marquardt's damping on exact forward sensitiviti
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import minimize_scalar
 
-from bayes_aero.dynamics.flight import EffectDynamics, biased_dynamics
+from bayes_aero.dynamics.aircraft import POINTS
+from bayes_aero.dynamics.flight import Dynamics, biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
+from bayes_aero.inference.covariance import BLOCK, LinearFit, calibration, corrected_covariance, covariance_of, means
 from bayes_aero.inference.optimise import (
     MAX_TRIALS,
     Evaluation,
@@ -28,17 +34,384 @@ from bayes_aero.inference.optimise import (
     newton_gain,
     truncated_step,
 )
-from bayes_aero.inference.output_error_result import (
-    NormalEquations,
-    NormalPriors,
-    OutputErrorResult,
-    OutputErrorStatus,
-    Point,
-    reduced_equations,
-    result_at,
+from bayes_aero.inference.results import Inseparable, OutputErrorStatus, inseparable
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.processes import cores
+
+# --- Normal equations of a step: inner products of residuals and sensitivities, with the priors.
+# Each segment has its own initial state, which is eliminated from the equations of that segment.
+
+INITIAL_STATE_SD = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0} | dict.fromkeys(
+    POINTS, 0.1
 )
-from bayes_aero.inference.prediction_error import PredictionErrorResult, fit_prediction_error
-from bayes_aero.parameter import Prior
+"""Standard deviation of the measured initial state, SI: the accuracy of flight-test sensors; our choice."""
+INITIAL_STATE_SD_BY_UNIT = {"m/s": 1.0, "m": 3.0}  # of states with another name, by unit
+DEFAULT_INITIAL_STATE_SD = 0.05
+TINY = 1e-300
+MAX_GRAM = 1e100  # inner products beyond this: the motion is not unique
+REGULARISATION = 1e-12  # added to a diagonal, relative: above rounding, below the information of any record
+ENVELOPE_PENALTY = 1e6  # cost of a trajectory that is wholly outside the envelope: worse than any inside
+
+
+def initial_state_sd(dynamics: Dynamics) -> Float[np.ndarray, " s"]:
+    """Standard deviations of the measured initial state, SI."""
+    by_unit = {
+        name: INITIAL_STATE_SD_BY_UNIT.get(unit, DEFAULT_INITIAL_STATE_SD) for name, unit in dynamics.units.items()
+    }
+    return np.array(
+        [INITIAL_STATE_SD.get(name, by_unit.get(name, DEFAULT_INITIAL_STATE_SD)) for name in dynamics.start]
+    )
+
+
+@dataclass(frozen=True)
+class NormalPriors:
+    """Normal priors; the precisions are times `weight`, the variance inflation of coloured residuals (0: none)."""
+
+    mean: Float[np.ndarray, " k"]  # of theta
+    precision: Float[np.ndarray, " k"]
+    states: Float[np.ndarray, " s"]  # precision of the corrections of the initial states
+    weight: float = 1.0
+    fixed: bool = False  # the initial states are not corrected
+
+    @classmethod
+    def of(cls, flown: SegmentTrajectories, weight: float, without: Collection[str] = ()) -> NormalPriors:
+        """Normal approximations of all priors, times `weight`; the parameters `without` have no prior."""
+        pairs = np.array([p.prior.normal for p in flown.dynamics.free]).reshape(-1, 2)
+        deviations = initial_state_sd(flown.dynamics)
+        with_prior = np.array([p.name not in without for p in flown.dynamics.free], float)
+        precisions = weight * with_prior * pairs[:, 1] ** -2.0, weight * deviations**-2.0
+        return cls(pairs[:, 0], *precisions, weight, flown.fixed is not None)
+
+
+class InnerProducts(NamedTuple):
+    """Inner products of residuals and sensitivities of w segments, c outputs, k parameters and s initial states."""
+
+    gram: Float[np.ndarray, "w c j j"]  # j = 1 + k + s: the residual comes first
+    count: Float[np.ndarray, " w"]  # samples
+    inside: float  # share of the samples inside the envelope
+    columns: tuple[np.ndarray, ...]  # residuals and sensitivities (w, n, c, j) over the noise growth, in parts along w
+
+
+@eqx.filter_jit
+def _inner_products(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]):
+    """Gram matrices, samples inside the envelope, and columns; forward sensitivities, all directions at once."""
+    k, s = theta.shape[0], departure.shape[1]
+
+    def residual(theta, shared):
+        simulated = simulate(flown, theta, departure + shared)
+        return simulated.residual, simulated.trajectory.inside
+
+    point = (theta, jnp.zeros(s))
+    towards = (jnp.concatenate([jnp.eye(k), jnp.zeros((s, k))]), jnp.concatenate([jnp.zeros((k, s)), jnp.eye(s)]))
+    r, slope, inside = jax.vmap(lambda t: jax.jvp(residual, point, t, has_aux=True), out_axes=(None, -1, None))(towards)
+    columns = jnp.concatenate([r[..., None], -slope], axis=-1) / flown.noise_growth[..., None]  # w n c j
+    return jnp.einsum("wnci,wncj->wcij", columns, columns), jnp.sum(inside & flown.inside, axis=1), columns
+
+
+class NormalEquations:
+    """Normal equations of one set of segments, evaluated at many points; the segments are divided among the cores."""
+
+    # XLA runs a scan on one core. The first evaluation takes the parts one by one, so that only one thread compiles. A
+    # part without samples is not simulated.
+    def __init__(self, flown: SegmentTrajectories, prior: NormalPriors):
+        w = len(flown.index)
+        size = -(-w // min(w, os.cpu_count() or 1))
+        self.prior = prior
+        self.count = flown.inside.sum(axis=1).astype(float)
+        self.noise_growth = float(np.log(flown.noise_growth[flown.inside]).sum())
+        self._rows = [np.minimum(np.arange(a, a + size), w - 1) for a in range(0, w, size)]  # the last may repeat
+        self._parts = {
+            number: jax.tree.map(jnp.asarray, flown.nameless.part(rows))
+            for number, rows in enumerate(self._rows)
+            if flown.inside[rows].any()
+        }
+        self._compiled = False
+
+    def evaluate(self, theta: Float[np.ndarray, " k"], departure: Float[np.ndarray, "w s"]) -> Point:
+        at, w = jnp.asarray(theta), len(departure)
+
+        def one(number):
+            found = _inner_products(self._parts[number], at, jnp.asarray(departure[self._rows[number]]))
+            return tuple(np.asarray(x) for x in found)
+
+        if len(self._parts) > 1 and self._compiled:
+            with ThreadPoolExecutor(min(len(self._parts), cores())) as pool:
+                found = dict(zip(self._parts, pool.map(one, self._parts), strict=True))
+        else:
+            found = {number: one(number) for number in self._parts}
+        self._compiled = True
+        zeros = tuple(np.zeros_like(x) for x in next(iter(found.values())))
+        gram, within, columns = zip(*(found.get(i, zeros) for i in range(len(self._rows))), strict=True)
+        gram, within = np.concatenate(gram)[:w], np.concatenate(within)[:w]
+        products = InnerProducts(gram, self.count, float(within.sum() / self.count.sum()), columns)
+        return _point(theta, departure, products, self.prior, self.noise_growth)
+
+    def extrapolate(self, point: Point, step: Float[np.ndarray, " k"], own: Float[np.ndarray, "w s"]) -> Point:
+        """Normal equations after a short step of parameters and initial states, with residuals linear in the step."""
+        w = len(own)
+        all_steps = np.concatenate([np.tile(step, (w, 1)), own], axis=1)
+        transform = np.tile(np.eye(1 + all_steps.shape[1]), (w, 1, 1))
+        transform[:, 1:, 0] = -all_steps
+        gram = np.einsum("wia,wcij,wjb->wcab", transform, point.products.gram, transform, optimize=True)
+        columns = []
+        for rows, part in zip(self._rows, point.products.columns, strict=True):
+            shifted = part.copy()
+            shifted[..., 0] -= np.einsum("wncj,wj->wnc", part[..., 1:], all_steps[rows])
+            columns.append(shifted)
+        products = point.products._replace(gram=gram, columns=tuple(columns))
+        return _point(point.theta + step, point.departure + own, products, self.prior, self.noise_growth)
+
+
+class Point(NamedTuple):
+    """Normal equations at one point: parameters, corrections of the initial states, residual variances R, cost."""
+
+    theta: Float[np.ndarray, " k"]
+    departure: Float[np.ndarray, "w s"]
+    products: InnerProducts
+    R: Float[np.ndarray, " c"]
+    cost: float
+
+
+def _point(
+    theta: np.ndarray, departure: np.ndarray, products: InnerProducts, prior: NormalPriors, noise_growth: float
+) -> Point:
+    """`noise_growth`: sum of its logarithms over all samples and outputs, a term of the likelihood."""
+    gram, total = products.gram, products.count.sum()
+    if not np.all(np.abs(gram) < MAX_GRAM):
+        return Point(theta, departure, products._replace(inside=0.0), np.ones(gram.shape[1]), math.inf)
+    R = np.maximum(gram[:, :, 0, 0].sum(axis=0) / total, TINY)
+    cost = 0.5 * total * float(np.sum(np.log(R))) + noise_growth
+    cost += 0.5 * float(prior.precision @ (theta - prior.mean) ** 2) + 0.5 * float(np.sum(departure**2 @ prior.states))
+    if products.inside < 1.0:
+        cost += ENVELOPE_PENALTY * (1.0 - products.inside)
+    return Point(theta, departure, products, R, cost)
+
+
+class EliminatedStates(NamedTuple):
+    """Eliminated initial states of the segments, as functions of the step of theta."""
+
+    inverse: Float[np.ndarray, "w s s"]
+    cross: Float[np.ndarray, "w s k"]
+    gradient: Float[np.ndarray, "w s"]
+    gain: float
+
+    def step(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "w s"]:
+        return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
+
+
+def reduced_equations(
+    point: Point, prior: NormalPriors
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"], EliminatedStates]:
+    """Information and gradient of theta with the initial states eliminated, including the priors."""
+    A, g, states = segment_equations(point, prior)
+    A = A.sum(axis=0) + np.diag(prior.precision)
+    return A, g.sum(axis=0) - prior.precision * (point.theta - prior.mean), states
+
+
+def segment_equations(
+    point: Point, prior: NormalPriors
+) -> tuple[Float[np.ndarray, "w k k"], Float[np.ndarray, "w k"], EliminatedStates]:
+    """Information and gradient of theta by segment with the initial states eliminated, without the priors of theta."""
+    k = len(point.theta)
+    N = np.einsum("wcij,c->wij", point.products.gram, 1.0 / point.R)
+    if prior.fixed:
+        w, s = point.departure.shape
+        states = EliminatedStates(np.zeros((w, s, s)), np.zeros((w, s, k)), np.zeros((w, s)), 0.0)
+        return N[:, 1 : k + 1, 1 : k + 1], N[:, 1 : k + 1, 0], states
+    of_states = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
+    cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
+    # Cholesky factors keep the digits of A - cross' own^-1 cross where a trial is unstable.
+    identity = np.eye(of_states.shape[-1])
+    of_states = of_states + identity * (of_states == 0.0)  # a state without information and prior is not corrected
+    try:
+        L = np.linalg.cholesky(of_states)
+    except np.linalg.LinAlgError:  # rounding makes the matrix of an unstable flight indefinite
+        L = np.linalg.cholesky(of_states + REGULARISATION * of_states * identity)
+    Y, y = np.linalg.solve(L, cross), np.linalg.solve(L, gradient[:, :, None])[:, :, 0]
+    A = N[:, 1 : k + 1, 1 : k + 1] - np.einsum("wia,wib->wab", Y, Y)
+    g = N[:, 1 : k + 1, 0] - np.einsum("wia,wi->wa", Y, y)
+    gain = 0.5 * float(np.sum(y**2))
+    inverse = np.linalg.inv(L)
+    inverse = np.swapaxes(inverse, 1, 2) @ inverse
+    return A, g, EliminatedStates(inverse, cross, gradient, gain)
+
+
+# --- The result of an output-error fit: estimates, standard errors for white and coloured residuals, a status.
+
+THINNING = 5  # samples averaged for the autocorrelation of the residuals
+INDEFINITE = -1e-14  # eigenvalues of a scaled information matrix below this are not rounding errors
+SINGULAR = 1e-13  # least eigenvalue of a regular scaled information matrix
+MIN_COMPONENT = 1e-3  # least component of a singular direction from which a parameter is undetermined
+PRIOR_RATIO = 0.9  # posterior over prior standard deviation from which a parameter is held by its prior
+
+
+@dataclass(frozen=True)
+class OutputErrorResult:
+    """An output-error fit: estimates of k parameters and of the initial state of each segment, in SI and radians.
+
+    `covariance` (k, k) is that of Cramer and Rao with priors, `information` (k, k) that of the data alone. `rms` is by
+    segment and output, in the recorded unit. `columns` are residual and sensitivities (parameters, then initial state),
+    both divided by the noise growth `flown.noise_growth`; `R` is the residual variance in attached flow.
+    """
+
+    flown: SegmentTrajectories
+    parameters: tuple[Parameter, ...]
+    estimate: Float[np.ndarray, " k"]
+    departure: Float[np.ndarray, "w s"]
+    R: Float[np.ndarray, " c"]
+    cost: float
+    covariance: Float[np.ndarray, "k k"]
+    information: Float[np.ndarray, "k k"]
+    priors: NormalPriors
+    rms: Float[np.ndarray, "w c"]
+    status: OutputErrorStatus
+    iterations: int
+    at_bound: tuple[str, ...]
+    columns: Float[np.ndarray, "w n c j"]
+    eliminated: Float[np.ndarray, "w s k"]  # minus the derivative of the optimal initial states by theta
+    undetermined: tuple[str, ...] = ()  # parameters without prior that the record does not determine
+
+    @property
+    def det_R(self) -> float:
+        """Determinant of the diagonal residual covariance of the outputs, SI: the cost of published programs."""
+        count = self.flown.inside.sum(axis=1)
+        return float(np.prod(np.sum(count[:, None] * self.rms**2, axis=0) / count.sum()))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def sd(self) -> Float[np.ndarray, " k"]:
+        """Standard errors with priors, for white residuals, (k,); infinite where undetermined."""
+        return self._finite_if_determined(np.sqrt(np.diag(self.covariance)))
+
+    def _finite_if_determined(self, sd: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Standard errors with infinity for undetermined parameters."""
+        return np.where([name in self.undetermined for name in self.names], np.inf, sd)
+
+    @property
+    def crb(self) -> Float[np.ndarray, " k"]:
+        """Cramer-Rao standard errors of the data alone, for white residuals, (k,); infinite where undetermined."""
+        scale = np.sqrt(np.diag(self.information))
+        informed = scale > 0.0
+        bounds = np.full(len(scale), np.inf)
+        part = self.information[np.ix_(informed, informed)] / np.outer(scale[informed], scale[informed])
+        values, vectors = np.linalg.eigh(part)
+        if len(values) and values[0] > SINGULAR:
+            bounds[informed] = np.sqrt(np.diag((vectors / values) @ vectors.T)) / scale[informed]
+        return bounds
+
+    @cached_property
+    def corrected(self) -> Float[np.ndarray, "k k"]:
+        """Covariance with the residuals' autocorrelation and the priors, shape (k, k); segments are independent.
+
+        With D = `covariance` it is D (M + P) D: M the scores' covariance under the residuals' autocovariance, P that
+        of the priors. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and Klein, J. Aircraft 1997. M is scaled
+        by `calibration`: for what the fit took out of the residuals, and for 1.96 standard errors to hold 95 %.
+        """
+        if not math.isfinite(self.cost):
+            return self.covariance
+        k, inside = len(self.estimate), self.flown.inside
+        S, own, residual = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :], self.columns[..., 0]
+        S = S - np.einsum("wncs,wsk->wnck", own, self.eliminated)  # at optimal initial states
+        segment = np.nonzero(inside)[0]
+        start = np.diff(segment, prepend=-1) != 0
+        D, weight = self.covariance, self.priors.weight
+        said = np.diag(self.priors.precision)
+        said = said + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
+        spread = corrected_covariance(D, S[inside], self.R, residual[inside], segment, start)
+        dt = float(np.median(self.flown.dt))
+        size = min(max(1, round(BLOCK / dt)), inside.shape[1])
+        precision = np.where(self.priors.fixed, np.inf, self.priors.states)
+        fit = LinearFit(D, means(S, size), means(own, size), precision, self.R / size, means(inside, size) > 0.0)
+        wider = np.sqrt(calibration(fit, means(residual, size), size * dt))
+        return weight * D @ said @ D + spread * np.outer(wider, wider)
+
+    @property
+    def sd_corrected(self) -> Float[np.ndarray, " k"]:
+        """Standard errors with priors, corrected for autocorrelated residuals, (k,); infinite where undetermined."""
+        return self._finite_if_determined(np.sqrt(np.diag(self.corrected)))
+
+    @property
+    def inseparable(self) -> tuple[Inseparable, ...]:
+        """Sets of parameters that the record, with the priors, cannot separate."""
+        units = tuple(p.unit for p in self.parameters)
+        return inseparable(self.names, units, self.estimate, self.covariance, self.sd_corrected)
+
+    @property
+    def thinned_columns(self) -> Float[np.ndarray, "w m c j"]:
+        """Means of residuals and sensitivities over `THINNING` samples."""
+        w, n, c, j = self.columns.shape
+        whole = n // THINNING * THINNING
+        return self.columns[:, :whole].reshape(w, -1, THINNING, c, j).mean(axis=2)
+
+    @property
+    def held_by_prior(self) -> tuple[str, ...]:
+        """Parameters on which the record has little information, so that the prior decides."""
+        with np.errstate(divide="ignore"):
+            prior = self.priors.precision**-0.5
+        return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > PRIOR_RATIO * own)
+
+
+def result_at(
+    flown: SegmentTrajectories,
+    point: Point,
+    prior: NormalPriors,
+    *,
+    converged: bool,
+    iterations: int,
+    active: np.ndarray,
+    held: np.ndarray,
+) -> OutputErrorResult:
+    """The result at a point; `held` parameters have no standard error, `active` ones are at a bound."""
+    w, s = point.departure.shape
+    A, eliminated = np.diag(prior.precision), np.zeros((w, s, len(point.theta)))
+    if math.isfinite(point.cost):
+        found, _, states = reduced_equations(point, prior)
+        informed = (np.diag(found) > 0.0) | (prior.precision > 0.0)  # a parameter without prior may have no information
+        part = found[np.ix_(informed, informed)]
+        size = np.diag(part)  # rounding may make the matrix of an unstable flight indefinite
+        if np.all(size > 0.0) and np.linalg.eigvalsh(part / np.sqrt(np.outer(size, size)))[0] > INDEFINITE:
+            A, eliminated = found, states.inverse @ states.cross
+    free = flown.dynamics.free
+    at_bound = tuple(p.name for p, a in zip(free, active & ~held, strict=True) if a)
+    if point.products.inside < 1.0:
+        status = OutputErrorStatus.LEFT_ENVELOPE
+    elif not converged:
+        status = OutputErrorStatus.NOT_CONVERGED
+    else:
+        status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
+    columns = np.concatenate(point.products.columns)[:w]
+    residual = columns[..., 0] * flown.noise_growth
+    bare, size = ~held & (prior.precision == 0.0), np.diag(A)
+    lost, informed = bare & (size <= 0.0), np.flatnonzero(bare & (size > 0.0))
+    if len(informed):  # those in singular directions of an information matrix without priors
+        scale = np.sqrt(size[informed])
+        values, vectors = np.linalg.eigh(A[np.ix_(informed, informed)] / np.outer(scale, scale))
+        lost[informed] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > MIN_COMPONENT
+    return OutputErrorResult(
+        flown=flown,
+        parameters=free,
+        estimate=point.theta,
+        departure=point.departure,
+        R=point.R,
+        cost=point.cost,
+        covariance=covariance_of(A, ~held & ~lost),
+        information=A - np.diag(prior.precision),
+        priors=prior,
+        rms=np.sqrt(np.sum(residual**2, axis=1) / np.maximum(point.products.count, 1.0)[:, None]),
+        status=status,
+        iterations=iterations,
+        at_bound=at_bound,
+        columns=columns,
+        eliminated=eliminated,
+        undetermined=tuple(p.name for p, unknown in zip(free, lost, strict=True) if unknown),
+    )
+
+
+# --- The fit.
 
 MAX_ITERATIONS, MAX_EARLY_ITERATIONS = 60, 12  # of the last stage of a cascade, and of those before
 TOLERANCE = 1e-3  # expected gain in log-likelihood of the last step: 0.05 standard errors
@@ -67,15 +440,13 @@ def one_by_one(
 
 
 class _Trajectories:
-    """Minus the log posterior density of the parameters as a `Problem`, with initial states at their optimum; the last
-    point is kept."""
+    """Minus the log posterior density as a `Problem`, initial states at their optimum; the last point is kept."""
 
     def __init__(self, equations: NormalEquations, point: Point, bounds: Float[np.ndarray, "k 2"], moving: np.ndarray):
         self.equations, self.point, self.tried = equations, point, point
         self.bounds, self.moving, self.step_limit = bounds, moving, np.full(len(bounds), np.inf)
 
     def cost(self, point: Float[np.ndarray, " k"]) -> float:
-        """The cost at a point."""
         if point is self.point.theta:
             return self.point.cost
         departure = self.point.departure + self.states.step(point - self.point.theta)
@@ -83,7 +454,6 @@ class _Trajectories:
         return self.tried.cost
 
     def evaluate(self, point: Float[np.ndarray, " k"]) -> Evaluation:
-        """Cost, gradient and information at the point that was tried last."""
         if point is not self.point.theta:
             self.point = self.tried
         if not math.isfinite(self.point.cost):
@@ -103,24 +473,29 @@ RULE = Rule(
 )
 
 
+class Options(NamedTuple):
+    """Of a fit: a factor on all priors (0: none, nor of initial states), parameters without a prior, steps."""
+
+    prior_weight: float = 1.0
+    without: Collection[str] = ()
+    max_iterations: int = MAX_ITERATIONS
+
+
 def fit_output_error(
     flown: SegmentTrajectories,
     *,
     start: Float[np.ndarray, " k"] | None = None,
     departure: Float[np.ndarray, "w s"] | None = None,
     held: Mapping[str, float] | None = None,
-    prior_weight: float = 1.0,
-    without: Collection[str] = (),
-    max_iterations: int = MAX_ITERATIONS,
     biases: Mapping[str, Prior] | None = None,
     stopped: Callable[[], bool] | None = None,
+    **options: Any,
 ) -> OutputErrorResult:
-    """Fit all segments together from one start."""
+    """Fit all segments together from one start, with the `options` of `Options`."""
     # `departure`: corrections of the measured initial states to start from, SI. `held`: parameters that are not
-    # estimated, and their values. `prior_weight`: factor on all priors; 0 leaves them out, those of the initial states
-    # too. `without`: parameters without a prior. `biases`: outputs with a constant error in each manoeuvre, and its
-    # prior: further parameters (`bias_output_1` and so on). `stopped`: called before each step; True ends the fit
-    # there, not converged.
+    # estimated, and their values. `biases`: outputs with a constant error in each manoeuvre, and its prior, which are
+    # further parameters (`bias_output_1`). `stopped`: called before each step; True ends the fit there, not converged.
+    prior_weight, without, max_iterations = Options(**options)
     if biases:
         modelled = len(flown.dynamics.free)
         flown = replace(flown, dynamics=biased_dynamics(flown.dynamics, flown.flights, biases))
@@ -170,62 +545,6 @@ def fit_cascade(
     return best
 
 
-# --- A fit with all disturbances of a flight: gusts, and process noise of the states for what gusts do not explain.
-
-GUSTS = ("vertical_gust", "longitudinal_gust")
-FIRST_F = 0.3  # process noise at the start of a fit, in standard deviations of output error's residuals a second
-FIRST_F_GUSTS = 0.03  # the same in gusts: from a larger value, process noise of the states takes the place of a gust
-FIRST_R = 0.1  # measurement noise at the start, as a share of the variance of output error's residuals
-MIN_SHARE = 0.1  # of these starting values, below which a fit never starts
-
-
-def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
-    """The same segments in gusts; linear systems have no gusts."""
-    # Where the model has buffet, the noise of the sensors does not grow as the flow separates.
-    dynamics = flown.dynamics
-    if not isinstance(dynamics, EffectDynamics):
-        return flown
-    dynamics = dynamics.for_filter()
-    if not dynamics.meets_gusts:
-        return replace(flown, dynamics=dynamics)
-    gusts = (*GUSTS, *(("lateral_gust",) if "beta" in dynamics.states and "beta" in flown.outputs else ()))
-    absent = [name for name in gusts if name not in {e.name for e in dynamics.model.acting}]
-    model = dynamics.model.extended(*absent)
-    steady = np.ones_like(flown.noise_growth) if model.has_buffet else flown.noise_growth
-    return replace(flown, dynamics=replace(dynamics, model=model), noise_growth=steady)
-
-
-def fit_disturbed(
-    flown: SegmentTrajectories,
-    estimate: Float[np.ndarray, " k"],
-    R: Float[np.ndarray, " c"],
-    *,
-    priors: bool = True,
-    exact: bool = True,
-    similar: PredictionErrorResult | None = None,
-) -> tuple[SegmentTrajectories, PredictionErrorResult]:
-    """Fit with process noise, from the estimates of output error (k,) and the variances R of its residuals (c,), SI."""
-    # States that a sensor measures have process noise of their own; gusts have theirs; other states have none. Gusts
-    # and noise start from a fit of a `similar` model, one effect off. Returns the segments in gusts, and the fit.
-    gusty, outputs = disturbed(flown), flown.outputs
-    names, states = gusty.dynamics.names, gusty.dynamics.states
-    estimates = dict(zip(flown.dynamics.names, estimate, strict=True))
-    start = np.array([estimates.get(p.name, p.start) for p in gusty.dynamics.free])
-    sd = np.sqrt(R)
-    first = FIRST_F if names == flown.dynamics.names else FIRST_F_GUSTS
-    F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in states])
-    R = FIRST_R * R
-    if similar is not None:  # none so small that the likelihood is flat
-        estimates = dict(zip(similar.names, map(float, similar.estimate), strict=True))
-        estimates = {n: x for n, x in estimates.items() if n in gusty.dynamics.disturbance_parameters}
-        start = np.array(
-            [max(estimates[n], MIN_SHARE * x) if n in estimates else x for n, x in zip(names, start, strict=True)]
-        )
-        noise, R = dict(zip(similar.states, similar.F, strict=True)), similar.R
-        F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(states, F, strict=True)])
-    return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact)
-
-
 # --- Growth of the residuals of simulated outputs with flow separation, by buffet and by errors of the stall model.
 # With constant noise the small residuals of minutes of attached flow would give a few seconds of stall the largest
 # weight.
@@ -261,7 +580,6 @@ class SeparatedFlow:
         return cls(residual, separated, flown.inside)
 
     def growths(self, without: int | None = None) -> Float[np.ndarray, " c"]:
-        """b of every output, (c,), from all segments or from all but one."""
         used = self.inside.copy()
         if without is not None:
             used[without] = False
@@ -283,5 +601,4 @@ class SeparatedFlow:
         return np.array([growth(x) for x in self.residual[used].T])
 
     def noise_growth(self, without: int | None = None) -> Float[np.ndarray, "w n c"]:
-        """1 + b (1 - X), (w, n, c)."""
         return 1.0 + self.growths(without) * self.separated[:, :, None]

@@ -25,7 +25,6 @@ from jaxtyping import Array, Bool, Float
 from bayes_aero.arrays import AnyArray
 from bayes_aero.errors import InputError
 from bayes_aero.inference.covariance import robust_covariance
-from bayes_aero.inference.ensemble import diagnose, find_mode
 from bayes_aero.inference.mle import (
     MAX_SEPARATE_FITS,
     SINGULAR,
@@ -35,8 +34,8 @@ from bayes_aero.inference.mle import (
     full_steps,
     scaled_inverse,
 )
-from bayes_aero.inference.nuts import NutsLength, sample_nuts
 from bayes_aero.inference.results import MleResult, MleStatus, NextFlight, Posterior
+from bayes_aero.inference.sampling import NutsLength, diagnose, find_mode, sample_nuts
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import LogDensity
 from bayes_aero.model.observations import Observations
@@ -68,7 +67,6 @@ class Hierarchy(LogDensity):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The scatter of each parameter."""
         return self.scattering
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
@@ -76,7 +74,6 @@ class Hierarchy(LogDensity):
         = (inv(F F') + T)^-1 = F (I + F' T F)^-1 F', T = diag x^2, needs no inverse of F F' and does not cancel."""
 
         def whitened(factor: Array) -> tuple[Array, Array]:
-            """W with W' W = P, and half the log-determinant of I + F' T F."""
             scaled = x[:, None] * factor
             lower = jnp.linalg.cholesky(jnp.eye(self.size) + scaled.T @ scaled)
             return jax.scipy.linalg.solve_triangular(lower, factor.T, lower=True), jnp.sum(jnp.log(jnp.diag(lower)))
@@ -136,7 +133,6 @@ def given_scatter(
 def _normal(
     precision: Float[np.ndarray, "*s k k"], weighed: Float[np.ndarray, "*s k"], rng: np.random.Generator
 ) -> Float[np.ndarray, "*s k"]:
-    """Draws of normal distributions with these precisions and precision-weighted means."""
     upper = np.swapaxes(np.linalg.cholesky(precision), -1, -2)
     mean = np.linalg.solve(precision, weighed[..., None])
     return (mean + np.linalg.solve(upper, rng.standard_normal((*weighed.shape, 1))))[..., 0]
@@ -301,8 +297,7 @@ def _each(
 def _information(
     model: Model, observations: Observations, name: str, fit: MleResult
 ) -> Float[np.ndarray, "k k"] | None:
-    """Information from the covariance corrected for coloured residuals; of parameters at a bound there is none. None
-    where that covariance is singular."""
+    """Information by the covariance corrected for coloured residuals, none at a bound; None where singular."""
     # Where the information matrix is singular: of the combinations of parameters that the record determines.
     inside = np.array([name not in fit.at_bound for name in fit.names])
     kept = np.ix_(inside, inside)

@@ -9,15 +9,18 @@ AIAA J. 9, 28 (in flight test).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from bayes_aero.dynamics.flight import EffectDynamics
 from bayes_aero.dynamics.innovations import (
     disturbances_along,
     filter_segments,
@@ -25,11 +28,29 @@ from bayes_aero.dynamics.innovations import (
     linearise,
     noise_derivatives,
 )
-from bayes_aero.dynamics.kalman import Filtered, log_likelihood
+from bayes_aero.dynamics.kalman import Filtered, NoisePoint, innovations_density, log_likelihood
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health.finding import quantum
-from bayes_aero.inference.optimise import APPROXIMATE_SCORING, Evaluation, minimise
-from bayes_aero.inference.output_error_result import initial_state_sd
+from bayes_aero.inference.covariance import covariance_of
+from bayes_aero.inference.optimise import (
+    APPROXIMATE_SCORING,
+    Evaluation,
+    minimise,
+)
+from bayes_aero.inference.output_error import initial_state_sd
+from bayes_aero.inference.results import Posterior
+from bayes_aero.inference.sampling import (
+    EnsembleLength,
+    NutsLength,
+    WarmUp,
+    find_mode,
+    inside,
+    sample_ensemble,
+    sample_nuts,
+)
+from bayes_aero.model.noise import LogDensity
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.progress import Progress
 
 TOLERANCE, HELD_GAINS_TOLERANCE = 1e-3, 0.3  # of the log likelihood, with exact gradients and with the gains held
 MIN_NOISE = 1e-12  # of F and R
@@ -66,7 +87,6 @@ class PredictionErrorResult:
 
     @property
     def sd(self) -> Float[np.ndarray, " k"]:
-        """Standard errors of the parameters."""
         return np.sqrt(np.diag(self.covariance))[: len(self.names)]
 
 
@@ -76,14 +96,12 @@ def _filter(flown, point, start_deviation, k, s):
 
 @eqx.filter_jit
 def _filter_segments(flown, point, start_deviation, k, s):
-    """Minus the log likelihood, and the filtered segments."""
     filtered = _filter(flown, point, start_deviation, k, s)
     return -jnp.sum(jax.vmap(log_likelihood)(filtered)), filtered
 
 
 @eqx.filter_jit
 def _evaluate(flown, point, start_deviation, k, s):
-    """Cost, gradient and expected information."""
 
     def at(point):
         filtered = _filter(flown, point, start_deviation, k, s)
@@ -120,7 +138,6 @@ def _evaluate_held_gains(flown, path, point, start_deviation, k, s, means):
 
 
 def _scores(e, S, de, dS, used):
-    """Cost, gradient and expected information from innovations, their variances, and the derivatives of both."""
     weight = jnp.where(used, 1.0 / S, 0.0)
     cost = 0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
     gradient = jnp.einsum("wncj,wnc->j", de, e * weight)
@@ -139,9 +156,7 @@ def fit_prediction_error(
     priors: bool = True,
     exact: bool = True,
 ) -> PredictionErrorResult:
-    """Fit all segments together. The first steps hold the filter's gains while the parameters of the motion vary; the
-    last are exact, or left out (`exact` False: consistent estimates). `F` (s,) and `R` (c,) are the noise to start
-    from, SI."""
+    """Fit all segments together from the noise `F` (s,) and `R` (c,), SI; consistent estimates where not `exact`."""
     F = np.asarray(F, float)
     problem = _Problem.of(flown.nameless, F > 0.0, priors)
     free = flown.dynamics.free
@@ -189,7 +204,6 @@ class _Problem:
 
     @classmethod
     def of(cls, flown: SegmentTrajectories, disturbed: Bool[np.ndarray, " s"], priors: bool) -> _Problem:
-        """Estimate all parameters, the process noise of the `disturbed` states, and R."""
         free, k = flown.dynamics.free, len(flown.dynamics.free)
         deviation = np.zeros(len(disturbed)) if flown.fixed is not None else initial_state_sd(flown.dynamics)
         moving = np.array([*([True] * k), *disturbed, *([True] * len(flown.outputs))])
@@ -207,20 +221,16 @@ class _Problem:
 
     @property
     def k(self) -> int:
-        """Number of parameters."""
         return len(self.flown.dynamics.free)
 
     @property
     def s(self) -> int:
-        """Number of states."""
         return len(self.flown.dynamics.states)
 
     def prior_cost(self, point: Float[np.ndarray, " j"]) -> float:
-        """Minus the log of the priors, but for a constant."""
         return 0.5 * float(self.precision @ (point - self.mean) ** 2)
 
     def cost(self, point: Float[np.ndarray, " j"]) -> float:
-        """Minus the log posterior density."""
         return self.path(point)[0] + self.prior_cost(point)
 
     def path(self, point: Float[np.ndarray, " j"]) -> tuple[float, Filtered]:
@@ -249,13 +259,165 @@ class _Problem:
         return self.evaluate(point, likelihood)
 
 
-def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray, " j"]) -> Float[np.ndarray, "j j"]:
-    """Inverse of the information of the estimated variables; zero for held ones and those without information."""
-    # The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
-    # beside angles in radians.
-    informed = moving & (np.diag(information) > 0.0)
-    block = information[np.ix_(informed, informed)]
-    scale = np.sqrt(np.outer(np.diag(block), np.diag(block)))
-    covariance = np.zeros_like(information)
-    covariance[np.ix_(informed, informed)] = np.linalg.pinv(block / scale, hermitian=True) / scale
-    return covariance
+# --- A fit with all disturbances of a flight: gusts, and process noise of the states for what gusts do not explain.
+
+GUSTS = ("vertical_gust", "longitudinal_gust")
+FIRST_F = 0.3  # process noise at the start of a fit, in standard deviations of output error's residuals a second
+FIRST_F_GUSTS = 0.03  # the same in gusts: from a larger value, process noise of the states takes the place of a gust
+FIRST_R = 0.1  # measurement noise at the start, as a share of the variance of output error's residuals
+MIN_SHARE = 0.1  # of these starting values, below which a fit never starts
+
+
+def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
+    """The same segments in gusts; linear systems have no gusts."""
+    # Where the model has buffet, the noise of the sensors does not grow as the flow separates.
+    dynamics = flown.dynamics
+    if not isinstance(dynamics, EffectDynamics):
+        return flown
+    dynamics = dynamics.for_filter()
+    if not dynamics.meets_gusts:
+        return replace(flown, dynamics=dynamics)
+    gusts = (*GUSTS, *(("lateral_gust",) if "beta" in dynamics.states and "beta" in flown.outputs else ()))
+    absent = [name for name in gusts if name not in {e.name for e in dynamics.model.acting}]
+    model = dynamics.model.extended(*absent)
+    steady = np.ones_like(flown.noise_growth) if model.has_buffet else flown.noise_growth
+    return replace(flown, dynamics=replace(dynamics, model=model), noise_growth=steady)
+
+
+def fit_disturbed(
+    flown: SegmentTrajectories,
+    estimate: Float[np.ndarray, " k"],
+    R: Float[np.ndarray, " c"],
+    *,
+    priors: bool = True,
+    exact: bool = True,
+    similar: PredictionErrorResult | None = None,
+) -> tuple[SegmentTrajectories, PredictionErrorResult]:
+    """Fit with process noise, from the estimates of output error (k,) and the variances R of its residuals (c,), SI."""
+    # States that a sensor measures have process noise of their own; gusts have theirs; other states have none. Gusts
+    # and noise start from a fit of a `similar` model, one effect off. Returns the segments in gusts, and the fit.
+    gusty, outputs = disturbed(flown), flown.outputs
+    names, states = gusty.dynamics.names, gusty.dynamics.states
+    estimates = dict(zip(flown.dynamics.names, estimate, strict=True))
+    start = np.array([estimates.get(p.name, p.start) for p in gusty.dynamics.free])
+    sd = np.sqrt(R)
+    first = FIRST_F if names == flown.dynamics.names else FIRST_F_GUSTS
+    F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in states])
+    R = FIRST_R * R
+    if similar is not None:  # none so small that the likelihood is flat
+        estimates = dict(zip(similar.names, map(float, similar.estimate), strict=True))
+        estimates = {n: x for n, x in estimates.items() if n in gusty.dynamics.disturbance_parameters}
+        start = np.array(
+            [max(estimates[n], MIN_SHARE * x) if n in estimates else x for n, x in zip(names, start, strict=True)]
+        )
+        noise, R = dict(zip(similar.states, similar.F, strict=True)), similar.R
+        F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(states, F, strict=True)])
+    return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact)
+
+
+# --- The posterior of a flight fitted with process noise: parameters, process noise and measurement noise, jointly.
+# The density is that of the fit, with the parameters' priors instead of their normal
+# approximations, and weak lognormal priors of the noise, so that the posterior is proper where a process noise is
+# not distinguishable from zero.
+# A noise or gust of hardly any size has a posterior that is flat in its logarithm below what the record can tell,
+# and falls off steeply above. Samplers therefore work on the logarithm of small and on the size of large ones
+# (`knee`).
+
+ENGINES = ("emcee", "nuts")  # the faster one first
+KNEE_OF_PROCESS, KNEE_OF_MEASUREMENT = 0.5, 0.03  # of the median, see `Parameter.knee`
+KNEE_OF_INTENSITY = 0.05  # of the prior's width
+SPREAD = 2.0  # standard deviation of the logarithm of a process or measurement noise: a factor of 50 either way, 95 %
+
+
+class InnovationsDensity(LogDensity):
+    """Parameters: the dynamics' free ones, F_state (process noise), sigma_output (measurement noise)."""
+
+    flown: SegmentTrajectories
+    deviation: tuple[float, ...] = eqx.field(static=True)  # of the measured initial state
+    # Medians of the priors: process noise by state (0 where there is none), standard deviations of the measurement
+    # noise by output; SI.
+    process: tuple[float, ...] = eqx.field(static=True)
+    measurement: tuple[float, ...] = eqx.field(static=True)
+    noise_label = "white, of states and measurements"  # pyright: ignore[reportAssignmentType]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        dynamics = self.flown.dynamics
+        motion = []
+        for p in dynamics.free:
+            intensity = p.name in dynamics.disturbance_parameters and p.prior.family == "halfnormal"
+            motion.append(p.changed(knee=KNEE_OF_INTENSITY * p.prior.scale) if intensity else p)  # it may reach zero
+        process = [
+            _noise(f"F_{name}", f"process noise of {name}, in its unit per square root of a second", x, KNEE_OF_PROCESS)
+            for name, x in zip(dynamics.states, self.process, strict=True)
+            if x > 0.0
+        ]
+        measurement = [
+            _noise(f"sigma_{name}", f"standard deviation of the noise of {name}", x, KNEE_OF_MEASUREMENT)
+            for name, x in zip(self.flown.outputs, self.measurement, strict=True)
+        ]
+        return (*motion, *process, *measurement)
+
+    @property
+    def disturbed(self) -> Int[np.ndarray, " f"]:
+        return np.flatnonzero(np.array(self.process) > 0.0)
+
+    def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
+        k, c = len(self.flown.dynamics.free), len(self.flown.outputs)
+        F = jnp.zeros(len(self.process)).at[self.disturbed].set(x[k:-c])
+        point = NoisePoint(x[:k], F, x[-c:] ** 2)
+        total = innovations_density(self.flown, point, jnp.asarray(self.deviation))
+        return jnp.where(jnp.isfinite(total), total, -jnp.inf)
+
+    def start(self, fit: PredictionErrorResult) -> Float[np.ndarray, " k"]:
+        least = np.exp(-2.0 * SPREAD)  # times the median: a process noise of the fit may vanish, a lognormal does not
+        F = np.maximum(fit.F, least * np.array(self.process))[self.disturbed]
+        free = zip(fit.estimate, self.flown.dynamics.free, strict=True)
+        return np.array([*(inside(value, p.bounds) for value, p in free), *F, *np.sqrt(fit.R)])
+
+
+def _noise(name: str, text: str, median: float, knee: float) -> Parameter:
+    prior = Prior("lognormal", median, SPREAD, "weak, about output error's residuals; our choice")
+    return Parameter(name, "SI", 0.0, median, text, prior, (0.0, np.inf), knee=knee * median)
+
+
+SHORT = WarmUp(100, acceptance=0.8, metric=False)  # on a scale that the mode gives well
+
+
+class PosteriorLength(NamedTuple):
+    """Chains of both samplers for densities that take milliseconds: two each, one for each core of a small machine."""
+
+    nuts: NutsLength = NutsLength(chains=2, warmup=SHORT, max_blocks=5)
+    emcee: EnsembleLength = EnsembleLength(ensembles=2, max_steps=600)
+
+
+def sample_innovations(
+    flown: SegmentTrajectories,
+    fit: PredictionErrorResult,
+    R: Float[np.ndarray, " c"],
+    *,
+    seed: int = 0,
+    length: PosteriorLength = PosteriorLength(),
+    engines: Sequence[str] = ENGINES,
+    progress: Progress | None = None,
+) -> dict[str, Posterior]:
+    """The posterior by these `engines`, from the `fit` (with priors) of `fit_disturbed`."""
+    density = innovations_posterior(flown, R)
+    mode = find_mode(density, density.start(fit))
+    asked: Any = {"seed": seed, "progress": progress, "predictive": False}
+    samplers = {
+        "emcee": lambda: sample_ensemble(density, mode, length=length.emcee, **asked),
+        "nuts": lambda: sample_nuts(density, mode, length=length.nuts, **asked),
+    }
+    return {engine: samplers[engine]() for engine in engines}
+
+
+def innovations_posterior(flown: SegmentTrajectories, R: Float[np.ndarray, " c"]) -> InnovationsDensity:
+    """The density; `R` (c,) are variances of output error's residuals. A fixed initial state has no deviation."""
+    # Medians of the noise are `FIRST_F` and `FIRST_R` as at the start of the fit; states without a sensor have none.
+    dynamics = flown.dynamics
+    deviation = np.zeros(len(dynamics.states)) if flown.fixed is not None else initial_state_sd(dynamics)
+    sd = dict(zip(flown.outputs, map(float, np.sqrt(R)), strict=True))
+    process = tuple(FIRST_F * sd[name] if name in sd else 0.0 for name in dynamics.states)
+    measurement = tuple(float(np.sqrt(FIRST_R)) * sd[name] for name in flown.outputs)
+    return InnovationsDensity(flown.nameless, tuple(map(float, deviation)), process, measurement)

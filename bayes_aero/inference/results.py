@@ -1,7 +1,8 @@
-"""The result of a maximum-likelihood fit of the coefficients: estimates, Cramer-Rao bounds, a status, warnings."""
+"""Results of fits as plain data: estimates, standard errors, a status, scores, warnings."""
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -9,18 +10,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Complex, Float, Int
 from scipy.stats import chi2
 
+from bayes_aero.arrays import AnyArray
 from bayes_aero.atomic_write import write_whole
+from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.gp import GPFit
-from bayes_aero.inference.scores import Scores
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming, Observations
@@ -180,49 +180,6 @@ class ActiveBound:
     shifts: Mapping[str, float]  # of the other estimates without it, in corrected standard errors, to first order
 
 
-def prior_conflicts(
-    parameters: Sequence[Parameter], estimate: Float[np.ndarray, " k"], deviation: Float[np.ndarray, " k"]
-) -> tuple[PriorConflict, ...]:
-    """Priors that the `estimate` by likelihood alone contradicts, by its corrected standard error; strongest first."""
-    conflicts = []
-    for p, x, sd in zip(parameters, estimate, deviation, strict=True):
-        if p.prior.family == "uniform" or not np.isfinite(sd):
-            continue
-        mean, wide = p.prior.normal
-        difference, scatter = x - mean, sd
-        if p.prior.family == "lognormal" and x > 0.0:  # on the scale on which it is normal
-            difference = p.prior.location * np.log(x / p.prior.location)
-            scatter = sd * p.prior.location / x
-        distance = abs(difference) / np.hypot(scatter, wide)
-        if distance > CONFLICT_LIMIT:
-            both = (mean, wide), (float(x), float(sd))
-            conflicts.append(PriorConflict(p.name, p.unit, *both, float(distance), p.prior.source))
-    return tuple(sorted(conflicts, key=lambda c: -c.distance))
-
-
-def active_bounds(
-    parameters: Sequence[Parameter],
-    estimate: Float[np.ndarray, " k"],
-    gradient: Float[np.ndarray, " k"],
-    inverse: Float[np.ndarray, "k k"],
-    deviation: Float[np.ndarray, " k"],
-    active: Sequence[bool] | np.ndarray,
-) -> tuple[ActiveBound, ...]:
-    """Effect of each active bound on the estimates."""
-    # `gradient` of the log-likelihood: zero except for the active parameters. `inverse` of the information, active
-    # parameters included. `deviation`: corrected standard errors.
-    found = []
-    for i in map(int, np.flatnonzero(active)):
-        step = inverse[:, i] * gradient[i]
-        if not np.isfinite(step).all():
-            step = np.zeros_like(step)
-        moves = {p.name: float(step[j] / deviation[j]) for j, p in enumerate(parameters) if j != i and deviation[j] > 0}
-        shifts = sorted(((n, x) for n, x in moves.items() if abs(x) > MIN_SHIFT), key=lambda item: -abs(item[1]))
-        p, lower, free = parameters[i], bool(gradient[i] < 0.0), float(estimate[i] + step[i])
-        found.append(ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
-    return tuple(found)
-
-
 # --- Parameters that a record cannot separate: it determines a combination of them, but none by itself.
 # Source: Belsley, Kuh and Welsch, Regression Diagnostics (1980), ch. 3 (condition indices and proportions of
 # variance); so Klein and Morelli, Aircraft System Identification (2006), sec. 5.2.
@@ -317,12 +274,10 @@ class FrequencyFit:
 
     @property
     def crb(self) -> Float[np.ndarray, " k"]:
-        """Cramer-Rao standard errors."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def crb_corrected(self) -> Float[np.ndarray, " k"]:
-        """Standard errors with the variances of the lines."""
         return np.sqrt(np.diag(self.corrected))
 
 
@@ -480,7 +435,7 @@ class GPReport:
     """Gaussian processes of one run."""
 
     splits: dict[str, list[dict[str, Validation]]]  # folds (several of `manoeuvre` alone), by coefficient
-    fits: dict[str, GPFit]  # of the chosen split's first fold
+    fits: dict[str, Any]  # `GPFit` of the chosen split's first fold
     chosen: str
     seconds: float
     left_out: tuple[str, ...] = ()  # which splits the records do not allow, and why
@@ -496,7 +451,6 @@ class Interval:
 
     @classmethod
     def of(cls, draws: Float[np.ndarray, " m"]) -> Interval:
-        """That of draws."""
         low, median, high = np.quantile(draws, [0.025, 0.5, 0.975])
         return cls(float(median), float(low), float(high))
 
@@ -522,7 +476,6 @@ class Stall:
 
     @property
     def seen(self) -> bool:
-        """Whether the maximum lies inside the recorded angles for nearly every draw."""
         return self.at_edge < 0.025
 
 
@@ -537,7 +490,6 @@ class Histogram:
 
     @property
     def outside(self) -> int:
-        """Number of bars outside the band."""
         return int(np.sum((self.height < self.lower) | (self.height > self.upper)))
 
 
@@ -581,4 +533,149 @@ class Identification:
     def fitted(self) -> Float[np.ndarray, "n c"]:
         """CL, CD, Cm of the maximum-likelihood fit at every sample."""
         o = self.observations
-        return np.asarray(self.model.predicted(jnp.asarray(self.mle.estimate), o.signals, o.aircraft))
+        return np.asarray(self.model.predicted(np.asarray(self.mle.estimate), o.signals, o.aircraft))
+
+
+class OutputErrorStatus(Enum):
+    """How the fit ended; the value is the text for the user."""
+
+    CONVERGED = "converged"
+    AT_BOUND = "converged with a parameter at its bound: its standard error is not reliable; widen the bound or fix it"
+    NOT_CONVERGED = "stopped before the optimum: start nearer, or begin with shorter windows; do not use the numbers"
+    LEFT_ENVELOPE = (
+        "the simulation leaves the flight envelope at every parameter value tried: the model cannot be simulated "
+        "through this record; "
+        "check signs and units, or begin with shorter windows"
+    )
+
+
+# --- Scores of predictions against measurements: the four numbers and the coverages of the validation table, and the
+# calibration of one-step predictions.
+
+Vector = Float[AnyArray, " n"]
+Draws = Float[AnyArray, "draws points"]
+OfPoints = Float[AnyArray, " points"]  # its length is checked in words
+COLOURED_INNOVATIONS = 0.3  # correlation of neighbouring innovations beyond which something is not modelled; our choice
+
+
+class ScoreStatus(enum.Enum):
+    """Whether every score is defined; the value is the text for the user."""
+
+    ok = "All four scores are defined."
+    constant_measurement = "The measured channel does not vary: r and R2 are undefined; compare RMSE with the noise."
+    constant_prediction = "The prediction does not vary: r is undefined; look at RMSE and R2."
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of one predicted channel against its measurement.
+
+    `r` is Pearson's correlation, `rmse` has the unit of the channel, `theil` is Theil's
+    inequality coefficient rms(z - y)/(rms z + rms y) (0 perfect, 1 worst), `r2` is 1 - SSE/SST. A score that
+    does not exist is NaN and `status` says which and why.
+    """
+
+    r: float
+    rmse: float
+    theil: float
+    r2: float
+    status: ScoreStatus = ScoreStatus.ok
+
+
+class Calibration(enum.Enum):
+    """Whether predictions are calibrated, and what is wrong if not."""
+
+    CALIBRATED = "calibrated"
+    TOO_NARROW = "too_narrow"
+    TOO_WIDE = "too_wide"
+    NOT_NORMAL = "not_normal"  # too narrow at one level, too wide at another
+    COLOURED = "coloured"  # correct on average, but autocorrelated
+    UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True)
+class Share:
+    """Share of the innovations inside a central predictive interval."""
+
+    level: float  # probability of the interval
+    share: float
+    sd: float  # standard error, with the autocorrelation counted
+    p: float  # p-value of calibrated predictions, with the autocorrelation counted
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """One-step predictions of one output, or of all outputs together."""
+
+    count: int  # of innovations
+    rms: float | None  # of measured minus predicted from the samples before, SI; None of all together
+    ratio: tuple[float, float]  # rms of innovations over predicted standard deviations (1: calibrated); standard error
+    shares: tuple[Share, ...]  # inside central intervals, by level
+    calibration: Calibration  # by the shares and the autocorrelation
+    # As rows: normal score, quantile of the innovations over their predicted standard deviations, and the band that
+    # contains all quantiles of calibrated predictions with a probability of 95 %.
+    quantiles: Float[np.ndarray, "m 4"]
+
+
+@dataclass(frozen=True)
+class OneStep:
+    """One-step predictions by output, and those of all outputs together."""
+
+    outputs: Mapping[str, Predicted]
+    together: Predicted
+
+    @property
+    def status(self) -> str:
+        """`calibrated`, `not_calibrated`, or `undecided` where there are too few innovations to tell."""
+        found = {one.calibration for one in (*self.outputs.values(), self.together)}
+        if found == {Calibration.CALIBRATED}:
+            return "calibrated"
+        return "undecided" if found <= {Calibration.CALIBRATED, Calibration.UNDECIDED} else "not_calibrated"
+
+
+def _finite_pair(measured: Vector, predicted: OfPoints) -> tuple[np.ndarray, np.ndarray]:
+    z, y = np.asarray(measured, float), np.asarray(predicted, float)
+    if z.ndim != 1 or z.shape != y.shape or z.size < 2:
+        raise InputError(f"Measured {z.shape} and predicted {y.shape} must be vectors of one length >= 2.")
+    for name, x in (("measured", z), ("predicted", y)):
+        if not np.all(np.isfinite(x)):
+            at = int(np.flatnonzero(~np.isfinite(x))[0])
+            raise InputError(f"The {name} channel is not finite at sample {at}; remove or repair that sample.")
+    return z, y
+
+
+def score(measured: Vector, predicted: OfPoints) -> Scores:
+    """Scores of `predicted` (n,) against `measured` (n,), both in the unit of the channel."""
+    z, y = _finite_pair(measured, predicted)
+    residual = z - y
+    rmse, rms_z, rms_y = (float(np.sqrt(np.mean(np.square(x)))) for x in (residual, z, y))
+    size = rms_z + rms_y
+    theil = rmse / size if size > 0 else 0.0
+    # A spread below the rounding of the values themselves is no spread.
+    z_varies = np.ptp(z) > 8 * np.finfo(float).eps * np.max(np.abs(z))
+    y_varies = np.ptp(y) > 8 * np.finfo(float).eps * np.max(np.abs(y))
+    r2 = 1.0 - float(np.sum(residual**2) / np.sum((z - z.mean()) ** 2)) if z_varies else float("nan")
+    r = float(np.corrcoef(z, y)[0, 1]) if z_varies and y_varies else float("nan")
+    status = ScoreStatus.ok
+    if not z_varies:
+        status = ScoreStatus.constant_measurement
+    elif not y_varies:
+        status = ScoreStatus.constant_prediction
+    return Scores(r, rmse, theil, r2, status)
+
+
+def interval_coverage(
+    measured: Vector, draws: Draws, levels: tuple[float, ...] = (0.5, 0.9, 0.95)
+) -> dict[float, float]:
+    """Share of `measured` (n,) inside the central intervals of predictive `draws` (draws, n), by level."""
+    z, y = np.asarray(measured, float), np.asarray(draws, float)
+    if y.ndim != 2 or y.shape[1:] != z.shape or y.shape[0] < 2:
+        raise InputError(f"Draws {y.shape} must be (draws >= 2, {z.size}) to go with {z.size} measurements.")
+    _finite_pair(z, y[0])
+    if not all(0 < level < 1 for level in levels):
+        raise InputError(f"Interval levels {levels} must lie between 0 and 1, for instance 0.95.")
+    coverage = {}
+    for level in levels:
+        low, high = np.quantile(y, [(1 - level) / 2, (1 + level) / 2], axis=0)
+        coverage[level] = float(np.mean((z >= low) & (z <= high)))
+    return coverage

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from bayes_aero.atomic_write import beside, put_folder, write_whole
-from bayes_aero.dynamics.linear import LinearDynamics, linear_dynamics
+from bayes_aero.dynamics.flight import LinearDynamics, linear_dynamics
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Draws, Identified, about, validity, version, wrapped

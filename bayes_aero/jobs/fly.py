@@ -18,9 +18,14 @@ from bayes_aero.diagnosis.consistency import in_gusts, no_flight_path
 from bayes_aero.diagnosis.flights import with_process_noise
 from bayes_aero.diagnosis.result import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories import fit_disagreements, fit_trajectories, motion_of, still_apart
-from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics, taken_as_zero
-from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.path import path_dynamics
+from bayes_aero.dynamics.flight import (
+    DERIVED,
+    Dynamics,
+    aircraft_dynamics,
+    linear_dynamics,
+    path_dynamics,
+    taken_as_zero,
+)
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.card_tables import is_file
@@ -29,7 +34,7 @@ from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord, write_record
 from bayes_aero.inference.frequency import linear_in_band
 from bayes_aero.inference.mle import fit_mle, without_noise_bias
-from bayes_aero.inference.nuts import ENGINES
+from bayes_aero.inference.prediction_error import ENGINES
 from bayes_aero.inference.results import MleResult, Posterior
 from bayes_aero.jobs.check import record_checks, repaired, spike_notes, usable_for
 from bayes_aero.jobs.io.results import RESULTS, Flight, flights, fly_results, put_histories

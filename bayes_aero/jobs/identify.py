@@ -15,14 +15,19 @@ from bayes_aero.diagnosis.result import SimulatedManoeuvre
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import rate_notes
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.calibration import pit_of, prior_sensitivity, stall_of_run
-from bayes_aero.inference.ensemble import density_start, other_modes, sample_ensemble, search_modes
 from bayes_aero.inference.frequency import coefficients_in_band
 from bayes_aero.inference.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle, without_noise_bias
-from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.pooled import check_manoeuvres, next_flight
 from bayes_aero.inference.results import Identification, NextFlight, Posterior
-from bayes_aero.inference.validation import Training, filter_mismatch_notes, validate
+from bayes_aero.inference.sampling import density_start, other_modes, sample_ensemble, sample_nuts, search_modes
+from bayes_aero.inference.validation import (
+    Training,
+    filter_mismatch_notes,
+    pit_of,
+    prior_sensitivity,
+    stall_of_run,
+    validate,
+)
 from bayes_aero.jobs.check import record_checks, repaired
 from bayes_aero.jobs.io.results import identified, put_histories, remove_older, results, save_gp, write_identification
 from bayes_aero.jobs.options import IdentifyOptions

@@ -187,13 +187,11 @@ class Model:
         return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
 
     def corrected(self, values: Mapping[str, Any], channels: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
-        """Recorded channels corrected for sensor errors: delays first, then each other effect of stage CHANNEL reads
-        the channels without delays, and all corrections are added.
-
-        `channels` are whole manoeuvres end to end, in SI, with the marks that `Stage` names. Added to a delay, a scale
-        of the delayed channel would make a filter of two taps, which smooths. A scale and a bias of one channel commute
-        to first order. A bias of a rate and the position of a vane, whose angle depends on that rate, do, too.
-        """
+        """Recorded channels (whole manoeuvres end to end, with the marks of `Stage`) corrected for sensor errors."""
+        # Delays first; then each other effect reads the channels without delays, and all corrections are added. Added
+        # to a delay, a scale of the delayed channel would make a filter of two taps, which smooths. A scale and a bias
+        # of one channel commute to first order. A bias of a rate and the position of a vane, whose angle depends on
+        # that rate, do, too.
         in_time = self._run((Stage.CHANNEL,), channels, values, channels, aircraft, delays=True)
         return self._run((Stage.CHANNEL,), in_time, values, in_time, aircraft, delays=False)
 
@@ -228,11 +226,9 @@ class Model:
         aircraft: Aircraft,
         X: Float[AnyArray, "*#n"] | tuple[Float[AnyArray, "*#n"], Float[AnyArray, "*#n"]] | None = None,
     ) -> dict[str, Any]:
-        """The flow by all effects: X, the attached lift, the coefficients (see `effect.Known`).
-
-        `X` is given where it is a state of a simulation, and replaces the stages that compute it. With two wings it has
-        the values of the right and the left wing, or is their mean; their difference is then the static one.
-        """
+        """The flow by all effects: X, the attached lift, the coefficients (see `effect.Known`)."""
+        # `X` is given where it is a state of a simulation, and replaces the stages that compute it. With two wings it
+        # has the values of the right and the left wing, or is their mean; their difference is then the static one.
         if X is None:
             known = self._separated((Stage.SEPARATION, Stage.LAG), values, signals, aircraft)
         elif isinstance(X, tuple):
@@ -284,16 +280,7 @@ class Model:
         return total
 
     def predicted(self, theta: Float[AnyArray, " k"], signals: Signals, aircraft: Aircraft) -> Float[AnyArray, "*n c"]:
-        """The modelled coefficients.
-
-        Args:
-            theta: (k,) free parameters, in the order of `names`.
-            signals: channels of shape (n,) in SI and radians.
-            aircraft: constants of the aircraft.
-
-        Returns:
-            Its `coefficients` along the last axis, (n, c).
-        """
+        """Its `coefficients`, (n, c), from the free parameters in the order of `names` and channels (n,), SI."""
         flow = self.flow(self.values(theta), signals, aircraft)
         return namespace(flow["CL"]).stack([flow[name] for name in self.coefficients], axis=-1)
 
@@ -347,11 +334,9 @@ MAX_BYTES = 1 << 20
 
 
 def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
-    """Every `Effect` at the top level of `files`, by name.
-
-    The files are Python code and are run. A card given by its path is trusted; a study needs --trust-effects. Each
-    content is run once, so that an effect is always the same object and its compiled programs are used again.
-    """
+    """Every `Effect` at the top level of `files`, by name."""
+    # The files are Python code and are run. A card given by its path is trusted; a study needs --trust-effects. Each
+    # content is run once, so that an effect is always the same object and its compiled programs are used again.
     effects: dict[str, Effect] = {}
     for path in files:
         try:

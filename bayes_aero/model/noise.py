@@ -41,7 +41,6 @@ class Noise:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of all coefficients."""
         sigma = Prior("lognormal", 0.02, 1.0, "a factor of 7 either way with 95 %; our choice")
         rho = Prior("uniform", -1.0, 2.0, "flat over the stationary range; our choice")
         buffet = Prior("halfnormal", 0.0, 3.0, "buffet up to several times the attached-flow noise; our choice")
@@ -64,11 +63,9 @@ class Noise:
         X: Float[Array, " n"],
         start: Bool[Array, " n"],
     ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        """Innovations of one coefficient over their standard deviation, and the logarithm of that standard deviation.
-
-        `residual` is measured minus modelled. At `start` the innovation is the residual itself with the stationary
-        standard deviation, so that manoeuvres are independent and the density is exact.
-        """
+        """Innovations of one coefficient over their standard deviation, and the logarithm of the latter."""
+        # `residual` is measured minus modelled. At `start` the innovation is the residual itself with the stationary
+        # standard deviation, so that manoeuvres are independent and the density is exact.
         sigma = values[f"sigma_{name}"]
         log_growth = jnp.zeros(())
         if self.colour is Colour.BUFFET_AR1:
@@ -85,7 +82,6 @@ class Noise:
     def simulate(
         self, values: Mapping[str, Any], white: Float[Array, "n c"], X: Float[Array, " n"], start: Bool[Array, " n"]
     ) -> Float[Array, "n c"]:
-        """Residuals made from standard normal `white`: the inverse of `innovation`."""
         sigma = jnp.stack([values[f"sigma_{name}"] for name in self.coefficients])
         if self.colour is Colour.WHITE:
             return white * sigma
@@ -122,12 +118,10 @@ class LogDensity(eqx.Module):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names in the order of `x`."""
         return tuple(p.name for p in self.parameters)
 
     @property
     def size(self) -> int:
-        """Number of parameters."""
         return len(self.parameters)
 
     def log_prior(self, x: Float[Array, " k"]) -> Float[Array, ""]:
@@ -140,15 +134,12 @@ class LogDensity(eqx.Module):
         return self.log_likelihood(x) + self.log_prior(x) + jnp.sum(log_slope)
 
     def constrain(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
-        """`x` of `u`."""
         return self._bounded(u)[0]
 
     def unconstrain(self, x: Float[Array, " k"]) -> Float[Array, " k"]:
-        """`u` of `x`."""
         return jnp.stack([to_unbounded(p, x[i]) for i, p in enumerate(self.parameters)])
 
     def sample_prior(self, rng: np.random.Generator, size: int) -> Float[np.ndarray, "size k"]:
-        """`size` draws of `x` from the prior, inside the bounds."""
         columns = []
         for p in self.parameters:
             draws = np.empty(0)
@@ -188,12 +179,10 @@ class Density(LogDensity):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Free model parameters, then noise parameters."""
         return (*self.model.free, *self.noise.parameters)
 
     @property
     def noise_label(self) -> str:
-        """The noise model's name."""
         return self.noise.colour.value
 
     def values(self, x: Float[Array, " k"]) -> dict[str, Any]:
@@ -204,7 +193,6 @@ class Density(LogDensity):
         return dict(self.model.fixed) | {name: x[i] for i, name in enumerate(self.names)}
 
     def predict(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
-        """Modelled coefficients."""
         return self._stacked(self._flow(x))
 
     def pointwise(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
@@ -228,13 +216,11 @@ class Density(LogDensity):
         return [-0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - deviation for z, deviation in self._innovations(x)]
 
     def _innovations(self, x: Float[Array, " k"]) -> list[tuple[Float[Array, " n"], Float[Array, " n"]]]:
-        """`Noise.innovation` of each coefficient."""
         o, flow, values = self.observations, self._flow(x), self.values(x)
         residuals = {name: o.measured[:, c] - flow[name] for c, name in enumerate(self.model.coefficients)}
         return [self.noise.innovation(name, values, r, flow["X"], o.start) for name, r in residuals.items()]
 
     def _flow(self, x: Float[Array, " k"]) -> Mapping[str, Array]:
-        """The coefficients and the separation point."""
         return self.model.flow(self.values(x), self.observations.signals, self.observations.aircraft)
 
     def _stacked(self, flow: Mapping[str, Array]) -> Float[Array, "n c"]:

@@ -105,12 +105,10 @@ class Observations(eqx.Module):
 
     @property
     def n(self) -> int:
-        """Number of samples."""
         return self.measured.shape[0]
 
     @property
     def dt(self) -> float:
-        """Sample time in s (the median over all manoeuvres)."""
         return float(np.median(np.asarray(self.signals["dt"])))
 
     @property
@@ -146,11 +144,9 @@ class Observations(eqx.Module):
         return eqx.tree_at(lambda o: o.signals["dt"], fewer, step * fewer.signals["dt"])
 
     def only(self, manoeuvre: int) -> Observations:
-        """One manoeuvre of the set."""
         return self.subset(np.flatnonzero(self.manoeuvre == manoeuvre))
 
     def with_measured(self, measured: Float[Array, "n c"]) -> Observations:
-        """The same signals with other measured coefficients, for simulation studies."""
         return eqx.tree_at(lambda o: o.measured, self, jnp.asarray(measured))
 
 
@@ -209,7 +205,6 @@ def _formed(
     marks_by_name: Mapping[str, Array],
     aircraft: Aircraft,
 ) -> tuple[dict[str, Array], Float[Array, "n c"]]:
-    """Conditioned signals and coefficients, compiled as one program."""
     true = model.corrected(values, {**joined, **marks_by_name}, aircraft)
     channels, ends = {key: true[key] for key in joined}, [marks_by_name[key] for key in ("dt", "first", "last")]
     if forming is Forming.MATCHED:

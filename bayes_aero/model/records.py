@@ -74,12 +74,10 @@ class Flights:
 
     @property
     def n(self) -> int:
-        """Number of samples."""
         return sum(self.lengths)
 
     @property
     def recorded(self) -> tuple[str, ...]:
-        """Names of the recorded channels and card sums, without what was added."""
         return tuple(name for name in self.channels if name not in MARKS)
 
     @property
@@ -91,15 +89,16 @@ class Flights:
         """That of alpha-dot on the recorded channels; see `alpha_rate`."""
         from bayes_aero.physics.coefficients import lift_regression  # here, because it imports JAX
 
-        ends = (self.channels[name] for name in ("dt", "first", "last"))
-        return lift_regression(self.channels, self.aircraft.accelerometer, *ends)
+        dt, first, last = (self.channels[name] for name in ("dt", "first", "last"))
+        return lift_regression(self.channels, self.aircraft.accelerometer, dt, first, last)
 
     def with_slopes(self, channels: Mapping[str, AnyArray], regression: Any = None) -> dict[str, Any]:
         """Channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre; JAX's arrays alone."""
         from bayes_aero.physics.coefficients import unsmoothed_joined
 
-        ends = (self.channels[name] for name in ("dt", "first", "last"))
-        return unsmoothed_joined(channels, self.aircraft.accelerometer, *ends, regression or self.regression())
+        dt, first, last = (self.channels[name] for name in ("dt", "first", "last"))
+        regression = regression or self.regression()
+        return unsmoothed_joined(channels, self.aircraft.accelerometer, dt, first, last, regression)
 
     @cached_property
     def padded(self) -> tuple[Flights, Any]:
@@ -109,13 +108,17 @@ class Flights:
         step = 1 << max(n.bit_length() - 4, 0)  # an eighth of the power of two below, so 12 % longer at most
         more = -n % step
         recorded = replace(self, channels={name: np.asarray(x) for name, x in self.channels.items()})
-        channels = {name: np.concatenate([x, np.repeat(x[-1:], more)]) for name, x in recorded.channels.items()}
+
+        def longer(x: np.ndarray) -> np.ndarray:
+            return np.concatenate([x, np.repeat(x[-1:], more)])
+
+        channels = {name: longer(x) for name, x in recorded.channels.items()}
         channels["start"][n : n + 1] = True
         channels["first"][n:], channels["last"][n:] = n, n + more - 1
-        times = (np.concatenate([x, np.repeat(x[-1:], more)]) for x in (self.manoeuvre, self.time))
         regression = recorded.regression()
         regression = regression._replace(before=np.concatenate([regression.before, np.zeros(more)]))
-        return Flights(channels, self.aircraft, *times, (n + more,), (), self.held), regression
+        manoeuvre, time = longer(self.manoeuvre), longer(self.time)
+        return Flights(channels, self.aircraft, manoeuvre, time, (n + more,), (), self.held), regression
 
 
 def joined(

@@ -20,9 +20,10 @@ from bayes_aero.diagnosis.selection_state import linearised
 from bayes_aero.dynamics.pilot import through_gusts
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
 from bayes_aero.errors import InputError
-from bayes_aero.inference.output_error import disturbed, fit_output_error, trajectories
-from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.output_error import OutputErrorResult, fit_output_error, trajectories
 from bayes_aero.inference.pooled import Hierarchy, from_prior_units, pool, prior_unit, to_prior_units
+from bayes_aero.inference.prediction_error import disturbed
+from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Envelope, required_of
@@ -35,8 +36,7 @@ from bayes_aero.residuals.equation_error import EquationError
 def errors(
     flown: SegmentTrajectories, theta: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "w n c"], Float[np.ndarray, "w n"], Bool[np.ndarray, " w"]]:
-    """Recorded minus simulated from the measured initial states, SI; the separated share of the flow (0 without a
-    separation point); whether each manoeuvre stays inside the envelope."""
+    """Recorded minus simulated, SI; separated share of the flow; whether each manoeuvre stays inside the envelope."""
     still = jnp.zeros((len(flown.index), len(flown.dynamics.start)))
     simulated = trajectories(flown, jnp.asarray(theta), still)
     X = simulated.trajectory.outputs.get("X")
@@ -65,8 +65,7 @@ def spread(
 def gust_spread(
     alone: SegmentTrajectories, draws: Float[np.ndarray, "m k"], gusts: Mapping[str, float], rng: np.random.Generator
 ) -> Float[np.ndarray, "m n c"]:
-    """What gusts add to flights of one manoeuvre with drawn parameters, SI; calm air where `gusts` has no value. A
-    flight begins in gusts of their own distribution, with the measured flow at vane and pitot tube."""
+    """What gusts add to flights with drawn parameters, SI, begun in gusts of their own distribution; else calm air."""
     gusty = disturbed(alone)
     free = gusty.dynamics.free
     calm = {p.name: p.start for p in free if p.name in gusty.dynamics.disturbance_parameters}
@@ -84,7 +83,6 @@ def gust_spread(
 
 @eqx.filter_jit
 def _added(gusty: SegmentTrajectories, theta: Float[Array, " k"], white: Float[Array, "m s"]) -> Float[Array, "n c"]:
-    """A flight through gusts minus the same in calm air, in the units of the record."""
     prepared = prepare(gusty, theta)
     states = prepared.initial_states
     covariance = prepared.initial_covariance(states, jnp.zeros(states.shape[1]))[0]
@@ -132,19 +130,16 @@ class _Linear:
 
     @classmethod
     def of(cls, test: OpenTest, errors: Float[np.ndarray, "m k"]) -> _Linear:
-        """From the draws."""
         sound = np.all(np.isfinite(test.by_parameters), axis=1)
         slope = np.linalg.lstsq(errors[sound], test.by_parameters[sound], rcond=None)[0]
         total = np.nan_to_num(test.by_parameters + test.by_all_else, nan=np.inf)
         return cls(test, slope, int(np.argmax(np.quantile(np.abs(total), PASSES_FROM, axis=0))))
 
     def probability(self, errors: Float[np.ndarray, "m k"], shrunk: Float[np.ndarray, "m k"]) -> float:
-        """To stay inside, with `shrunk` errors of the parameters in place of `errors`."""
         flights = self.test.by_parameters + (shrunk - errors) @ self.slope + self.test.by_all_else
         return float(np.mean(np.all(np.abs(np.nan_to_num(flights, nan=np.inf)) <= self.test.tolerance, axis=1)))
 
     def deviation(self, covariance: Float[np.ndarray, "k k"]) -> float:
-        """By the parameters, where the flight leaves the band most easily, SI."""
         g = self.slope[:, self.worst]
         return float(np.sqrt(max(g @ covariance @ g, 0.0)))
 
@@ -158,8 +153,7 @@ def further_flights(
     values: dict[str, float],
     envelope: Envelope,
 ) -> Further:
-    """Test points for the undecided tolerances, inside the envelope. `errors` of the drawn parameters `names`, by which
-    `tests` were flown; `flights`: the fitted records; `values`: the estimates of the model's parameters, SI."""
+    """Test points for the undecided tolerances, inside the envelope; `errors` of the drawn parameters `names`."""
     scale = np.std(errors, axis=0)
     moving = np.flatnonzero(scale > 0.0)
     names, errors = [names[int(k)] for k in moving], errors[:, moving] / scale[moving]
@@ -170,7 +164,6 @@ def further_flights(
     points, refused = (), {}
 
     def nats(information: Float[np.ndarray, "k k"]) -> float:
-        """Log of how many times the part by the parameters is narrowed, the sum of all tests that they leave open."""
         after = _after(first, information)
         moved = [one for one in useful if one.deviation(first) > 0.0]
         return float(np.sum(np.log([one.deviation(first) / max(one.deviation(after), 1e-300) for one in moved])))
@@ -211,12 +204,10 @@ def _decided(chance: float) -> bool:
 
 
 def _after(first: Float[np.ndarray, "k k"], information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
-    """Covariance with further information."""
     return first - first @ information @ np.linalg.solve(np.eye(len(first)) + first @ information, first)
 
 
 def _shrunk(errors: np.ndarray, first: np.ndarray, information: np.ndarray) -> Float[np.ndarray, "m k"]:
-    """Errors of the covariance that is left, made of the drawn ones."""
     return errors @ np.linalg.pinv(_root(first)) @ _root(_after(first, information))
 
 
@@ -297,8 +288,7 @@ def alone_fits(fit: OutputErrorResult, without: Sequence[OutputErrorResult], inf
 def next_parameters(
     alone: Sequence[OutputErrorResult], inflation: float, count: int, seed: int, progress: Progress | None = None
 ) -> Float[np.ndarray, "m k"] | None:
-    """Draws of the parameters of a flight not yet flown, by partial pooling; None with fewer than two usable fits.
-    Every manoeuvre enters by the normal approximation of its likelihood, with coloured residuals counted."""
+    """Draws of the parameters of a flight not yet flown, by partial pooling; None with fewer than two usable fits."""
     usable = [fit for fit in alone if fit.status in USABLE]
     if len(usable) < 2:
         return None
@@ -315,8 +305,7 @@ def next_parameters(
 
 
 def _of_data(fit: OutputErrorResult, inflation: float) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
-    """The maximum of the likelihood and its information in units of the priors; none of parameters at a bound. At the
-    maximum of the density the gradient of the likelihood is minus that of the prior."""
+    """The maximum of the likelihood and its information in units of the priors; none of parameters at a bound."""
     parameters = fit.parameters
     unit = np.array([float(prior_unit(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
     mean = np.array([p.prior.normal[0] for p in parameters])

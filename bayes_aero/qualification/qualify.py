@@ -56,9 +56,7 @@ class Structure:
         dt: Float[np.ndarray, " w"],
         explained: Float[np.ndarray, " c"],
     ) -> Structure:
-        """Of errors (recorded minus simulated, SI) of w manoeuvres, n samples each where `inside`. `separated`: the
-        separated share of the flow; `dt`: sample times, s; `explained`: mean squares that something else explains
-        (parameters, gusts), SI squared."""
+        """Of errors (recorded minus simulated, SI), less the mean squares that parameters and gusts explain."""
         growth = SeparatedFlow(errors, separated, inside).growths() if np.ptp(separated[inside]) > 0.0 else 0.0
         growth = growth + np.zeros(errors.shape[2])
         sized = errors / (1.0 + growth * separated[:, :, None])
@@ -109,7 +107,6 @@ def _block(dt: float) -> int:
 
 
 def _means(error: Float[np.ndarray, "n c"], dt: float) -> tuple[Float[np.ndarray, "t c"], Float[np.ndarray, "n c"]]:
-    """Means over blocks, and what single samples depart from the line between them."""
     block = _block(dt)
     blocks = max(1, len(error) // block)
     means = np.stack([part.mean(axis=0) for part in np.array_split(error[: blocks * block], blocks)])
@@ -120,7 +117,6 @@ def _means(error: Float[np.ndarray, "n c"], dt: float) -> tuple[Float[np.ndarray
 
 
 def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int]) -> float:
-    """Mean square of series of these lengths that begin at zero, of unit innovations."""
     A, P, variances = np.vstack([phi, np.eye(ORDER - 1, ORDER)]), np.zeros((ORDER, ORDER)), []
     for _ in range(max(lengths)):
         P = A @ P @ A.T
@@ -155,8 +151,7 @@ class Uncertain:
 
 @dataclass(frozen=True)
 class QualifiedFlights:
-    """Tests and strips; whether the next flight has the scatter of the parameters, None without a next flight.
-    `undecided`: tests that the parameters' posterior leaves open."""
+    """`scattered`: whether the next flight has the scatter of the parameters; `undecided`: left open by them."""
 
     tests: tuple[Test, ...]
     strips: tuple[Strip, ...]
@@ -184,9 +179,7 @@ def qualify(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> QualifiedFlights:
-    """Every test of every manoeuvre, and its time histories. `flown`: the fitted manoeuvres, with the outputs that have
-    a band; `tests`: others; `bands`: half the width of the tolerance by output, SI; `progress` is called with a stage
-    and the share of it that is done."""
+    """Every test of every manoeuvre, fitted (`flown`) or not (`tests`); `bands`: half widths by output, SI."""
     cases = _cases(flown, tests, unknown, seed)
     judged: list[Test] = []
     strips: list[Strip] = []
@@ -227,7 +220,6 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
     held = unknown.hold_out or HoldOut(fitted, own)
 
     def structure(error: Float[np.ndarray, "w n c"], explained: Float[np.ndarray, " c"]) -> Structure:
-        """What is left of errors: never less than of those of the fitted records."""
         shown, least = (np.mean(x[flown.inside] ** 2, axis=0) for x in (error, fitted))
         most = np.maximum(shown - np.maximum(least - own - by_gusts, 0.0), 0.0)
         taken = np.minimum(explained + by_gusts, most)

@@ -61,7 +61,6 @@ class RecordBeside:
 
     @property
     def passed(self) -> bool:
-        """Whether it is inside all the time."""
         return self.within == 1.0
 
 
@@ -83,7 +82,6 @@ class Test:
 
     @property
     def chance(self) -> Chance:
-        """With all that is counted."""
         return [*self.chances.values()][-1]
 
 
@@ -125,7 +123,6 @@ class OpenTolerance:
 
     @property
     def decidable(self) -> bool:
-        """Whether better known parameters can decide it."""
         return not FAILS_TO < self.known < PASSES_FROM
 
 
@@ -158,7 +155,6 @@ class Qualification:
     consistency: Consistency | None = None  # whether their sensors agree; None: not asked
 
     def of(self, output: str) -> tuple[Test, ...]:
-        """The tests of one output."""
         return tuple(test for test in self.tests if test.output == output)
 
     def verdict(self, output: str) -> ToleranceVerdict:

@@ -20,7 +20,8 @@ from jax.scipy.linalg import expm
 from jaxtyping import Array, Float, Int
 
 from bayes_aero.arrays import AnyArray
-from bayes_aero.dynamics.linear import LinearDynamics, LinearSystem
+from bayes_aero.dynamics.flight import LinearDynamics
+from bayes_aero.dynamics.system import LinearSystem
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card_tables import ONE
 from bayes_aero.model.model import Model
@@ -75,9 +76,7 @@ class EquationError(Blockwise, eqx.Module):
     def outputs(self) -> tuple[str, ...]:
         return (*self.model.coefficients, *self.path)
 
-    def evaluate(
-        self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
-    ) -> tuple[Float[Array, "m c"], dict[str, Array]]:
+    def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[np.ndarray, "m c"], dict[str, np.ndarray]]:
         residual, details = _evaluate(self._padded, theta)
         n, m = self.flights.n, len(self.manoeuvre)
         return np.asarray(residual)[:m], {name: np.asarray(x)[:n] for name, x in details.items()}

@@ -10,8 +10,17 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from bayes_aero.dynamics.pilot import LATERAL, Pilot, Series, fly, pulses, ramps, rounded, three_two_one_one
-from bayes_aero.dynamics.trim import FlightState
+from bayes_aero.dynamics.pilot import (
+    LATERAL,
+    FlightState,
+    Pilot,
+    Series,
+    fly,
+    pulses,
+    ramps,
+    rounded,
+    three_two_one_one,
+)
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card

@@ -17,11 +17,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import LinearOperator, lsmr
 
-from bayes_aero.dynamics.pilot import Pilot, fly, fly_rigid, fly_together, standard_pilots
+from bayes_aero.dynamics.pilot import FlightState, Pilot, fly, fly_rigid, fly_together, standard_pilots
 from bayes_aero.dynamics.trim import (
     SIGNALS,
     Condition,
-    FlightState,
     RigidTrim,
     can_simulate,
     level_speed,

@@ -232,7 +232,7 @@ def variants(given: Any, cards: Mapping[Any, Card], task: str, where: str) -> li
                 for name in names:
                     effect_named(name, known_effects(card))
                 if task == "fly" and card.linear is not None and not names:
-                    from bayes_aero.dynamics.linear import linear_dynamics  # loads JAX, which few studies need here
+                    from bayes_aero.dynamics.flight import linear_dynamics
 
                     linear_dynamics(card)
                 else:

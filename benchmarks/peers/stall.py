@@ -97,9 +97,9 @@ def lay_down(model: Model, observations: Observations, folder: Path, asked: dict
     import jax
     import jax.numpy as jnp
 
-    from bayes_aero.inference.ensemble import density_start, find_mode
     from bayes_aero.inference.mle import fit_mle
     from bayes_aero.inference.results import MleStatus
+    from bayes_aero.inference.sampling import density_start, find_mode
     from bayes_aero.model.noise import Colour, Density, Noise
 
     best = fit_mle(model, observations, extra_starts=0)
@@ -224,18 +224,18 @@ def our_sampler(engine: str) -> Callable[[Problem, int, argparse.Namespace], Sam
     """`sample_ensemble` or `sample_nuts`, as `identify` runs them; their burn-in always counts."""
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Sampling:
-        from bayes_aero.inference.ensemble import ModeStatus, PosteriorMode
+        from bayes_aero.inference.sampling import ModeStatus, PosteriorMode
         from bayes_aero.model.noise import Colour, Density, Noise
 
         model, observations = stall(problem)
         density = Density(observations, model, Noise(Colour.WHITE))
         mode = PosteriorMode(problem.u, problem.factor, problem.posterior(problem.u), ModeStatus.CONVERGED)
         if engine == "emcee":
-            from bayes_aero.inference.ensemble import EnsembleLength as Length
-            from bayes_aero.inference.ensemble import sample_ensemble as sample
+            from bayes_aero.inference.sampling import EnsembleLength as Length
+            from bayes_aero.inference.sampling import sample_ensemble as sample
         else:
-            from bayes_aero.inference.nuts import NutsLength as Length
-            from bayes_aero.inference.nuts import sample_nuts as sample
+            from bayes_aero.inference.sampling import NutsLength as Length
+            from bayes_aero.inference.sampling import sample_nuts as sample
         length: Any = Length(*QUICK[engine]) if options.quick else Length()
 
         def run(seed: int) -> Drawn:
@@ -289,7 +289,7 @@ def stock_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Sampli
 
 def judged_draws(problem: Problem, _: int, warm: list[tuple[float, Drawn]]) -> dict:
     """Medians over the runs of the least ESS and of its rates; the worst R-hat; means, to see that they agree."""
-    from bayes_aero.inference.ensemble import diagnose
+    from bayes_aero.inference.sampling import diagnose
 
     names = problem.names
     ess, rate, free, rhat = [], [], [], []
@@ -321,8 +321,7 @@ TOLERANCE = {"ftol": 1e-9, "gtol": 1e-4}  # relative change and gradient at whic
 
 def our_process(problem: Problem, size: int, _: argparse.Namespace) -> Fitting:
     """`maximise`, which searches five directions and finds the other six in closed reach."""
-    from bayes_aero.inference.gp.kernel import Priors, ReducedData, noise_to_signal
-    from bayes_aero.inference.gp.optimum import maximise
+    from bayes_aero.inference.gp.kernel import Priors, ReducedData, maximise, noise_to_signal
 
     data, flat = ReducedData.of(*problem.processes[size]), Priors.flat()
     return lambda _: maximise(noise_to_signal(START), data, flat, w=START[:6].copy(), max_iterations=200).theta

@@ -33,8 +33,8 @@ from studies import resumed
 from verify import CLAIMS, LEVEL, ROUND, Claim, Run, Side, count, enter, fly, line_of
 
 from bayes_aero.errors import InputError
+from bayes_aero.inference.covariance import log_density
 from bayes_aero.inference.gp.kernel import Priors, ReducedData
-from bayes_aero.inference.gp.posterior import log_density
 from bayes_aero.simulate.demo import TRUTH
 
 

@@ -20,8 +20,8 @@ from linear_cards import (
 
 from bayes_aero.diagnosis import flights
 from bayes_aero.flight.record import FlightRecord, write_record
-from bayes_aero.inference.ensemble import EnsembleLength
-from bayes_aero.inference.nuts import PosteriorLength, sample_innovations
+from bayes_aero.inference.prediction_error import PosteriorLength, sample_innovations
+from bayes_aero.inference.sampling import EnsembleLength
 from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.simulate.demo import TRUTH, demo_records

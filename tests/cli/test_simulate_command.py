@@ -13,9 +13,8 @@ import stranger_six
 from calling import called, refused, succeeded, validated
 
 from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.linear import Steady, modes
 from bayes_aero.dynamics.pilot import commands, lateral_commands
-from bayes_aero.dynamics.trim import Trim
+from bayes_aero.dynamics.trim import Steady, Trim, modes
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record

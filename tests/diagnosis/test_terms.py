@@ -24,7 +24,7 @@ from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.innovations import filter_segments
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card import read_card
-from bayes_aero.inference.output_error import disturbed
+from bayes_aero.inference.prediction_error import disturbed
 from bayes_aero.jobs.catalogue import effect_file, write_effects
 from bayes_aero.jobs.io.documents import document_schema
 from bayes_aero.jobs.io.results import term_part

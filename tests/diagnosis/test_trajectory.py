@@ -48,14 +48,13 @@ from bayes_aero.diagnosis.trajectories import (
 )
 from bayes_aero.diagnosis.view import band_of, causes_in_band, with_sensor_errors_held
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.linear import Steady
 from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.dynamics.trim import Steady
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.output_error import GUSTS
-from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.inference.results import MleResult, MleStatus
+from bayes_aero.inference.prediction_error import GUSTS
+from bayes_aero.inference.results import MleResult, MleStatus, OutputErrorStatus
 from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.results import tested_part

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from bayes_aero.dynamics.path import PathDynamics, path_states
+from bayes_aero.dynamics.flight import PathDynamics, path_states
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.reading import read_records

@@ -20,8 +20,7 @@ from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import System
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.output_error import disturbed
-from bayes_aero.inference.prediction_error import PredictionErrorStatus, fit_prediction_error
+from bayes_aero.inference.prediction_error import PredictionErrorStatus, disturbed, fit_prediction_error
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import FLIGHT

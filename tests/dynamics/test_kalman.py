@@ -8,8 +8,7 @@ import pytest
 
 from bayes_aero.dynamics.innovations import Disturbances, LinearisedFilter, linear_innovations, noise_derivatives
 from bayes_aero.dynamics.kalman import FilterInputs, discrete_noise, gains, kalman_filter, log_likelihood, smooth
-from bayes_aero.dynamics.linear import LinearSystem
-from bayes_aero.dynamics.system import advance, integrate, later
+from bayes_aero.dynamics.system import LinearSystem, advance, integrate, later
 
 # The extended Kalman filter against another library, finite differences and closed forms
 DT, N = 0.04, 400

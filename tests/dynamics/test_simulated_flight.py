@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from stranger_six import Plane
 
 from bayes_aero.dynamics.pilot import (
     SECONDS,
+    FlightState,
     Pilot,
     fly,
     fly_standard,
@@ -23,17 +23,7 @@ from bayes_aero.dynamics.pilot import (
     steps,
     three_two_one_one,
 )
-from bayes_aero.dynamics.trim import (
-    INPUTS,
-    Condition,
-    FlightState,
-    Plant,
-    conditions,
-    lead,
-    level_speed,
-    rigid_trim,
-    trimmed,
-)
+from bayes_aero.dynamics.trim import Condition, conditions, lead, level_speed, rigid_trim, trimmed
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model
@@ -57,7 +47,7 @@ def pitched_by(card, *effects):
 
 
 def standard(model, card, **changes):
-    return fly_standard(model, values(**changes), card.aircraft, airspeed=AIRSPEED, altitude=ALTITUDE, dt=0.04)[::2]
+    return fly_standard(model, values(**changes), card.aircraft, Condition(AIRSPEED, ALTITUDE), dt=0.04)[::2]
 
 
 def test_the_command_is_the_textbook_s_and_of_a_control_that_pitches_up_the_other_way(card):
@@ -197,35 +187,8 @@ def stall(card):
         phi=jnp.asarray(phi),
         beta=jnp.asarray(beta),
     )
-    return fly(model, values(), card.aircraft, p, state(95, np.deg2rad(6), np.deg2rad(6), h=5200), DT)
-
-
-def test_wings_level_equations_are_the_symmetric_ones(card):
-    """Etkin's symmetric equations, written out here, at random states."""
-    model, a = Model.of(card.effects), card.aircraft
-    rng = np.random.default_rng(1)
-    for _ in range(5):
-        V, alpha, gamma, q = rng.uniform(60, 110), rng.uniform(0.05, 0.3), rng.uniform(-0.1, 0.1), rng.normal(0, 0.05)
-        inputs = {"alpha_led": jnp.asarray(alpha), "thrust": jnp.asarray(9e3), "command": jnp.asarray(0.01)}
-        plant = Plant(model, values(), a, (jnp.asarray(0.7), jnp.asarray(0.2), jnp.asarray(0.0)), jnp.asarray(0.0))
-        rest = dict.fromkeys(INPUTS, jnp.asarray(0.0))
-        x = jnp.stack(jax.tree.map(jnp.asarray, state(V, alpha, alpha + gamma, q)))
-        derivative, out = plant.motion(x, rest | inputs)
-        rates = FlightState(*derivative)
-        qS = 0.5 * float(air(jnp.asarray(3000.0))[0]) * V**2 * a.wing_area
-        lift, drag = qS * float(out["CL"]), qS * float(out["CD"])
-        along = (9e3 * np.cos(alpha) - drag) / a.mass - GRAVITY * np.sin(gamma)
-        assert pytest.approx(along, rel=1e-10) == rates.airspeed
-        level = q - (lift + 9e3 * np.sin(alpha)) / (a.mass * V) + GRAVITY * np.cos(gamma) / V
-        assert rates.alpha == pytest.approx(level, abs=1e-11)
-        assert rates.theta == pytest.approx(q)
-        assert rates.altitude == pytest.approx(V * np.sin(gamma))
-        assert out["ay"] == out["p"] == out["r"] == 0.0
-        Cm_cg = float(out["Cm"]) + (
-            -(drag * np.cos(alpha) - lift * np.sin(alpha)) * a.reference_point[2]
-            + (lift * np.cos(alpha) + drag * np.sin(alpha)) * a.reference_point[0]
-        ) / (qS * a.chord)
-        assert rates.q == pytest.approx((qS * a.chord * Cm_cg + 9e3 * a.engine[2]) / a.Iy, rel=1e-10)
+    flight = fly(model, values(), card.aircraft, p, state(95, np.deg2rad(6), np.deg2rad(6), h=5200), DT)
+    return {name: jnp.asarray(x) for name, x in flight.items()}
 
 
 @pytest.mark.parametrize("degrees", [-30.0, 20.0, 45.0])

@@ -14,7 +14,7 @@ from stranger import fly as flown
 from stranger import plane
 
 from bayes_aero.diagnosis.candidate_set import DEFAULT, too_short
-from bayes_aero.dynamics.path import path_states
+from bayes_aero.dynamics.flight import path_states
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.channel import frozen, interpolated_period, saturated

@@ -20,7 +20,7 @@ from linear_cards import (
 
 from bayes_aero.diagnosis.result import Setting
 from bayes_aero.diagnosis.trajectories import fit_trajectories
-from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.flight import linear_dynamics
 from bayes_aero.dynamics.pilot import multisines
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import channel_units, read_card

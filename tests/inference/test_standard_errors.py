@@ -9,20 +9,21 @@ from scipy.signal import lfilter
 from scipy.stats import norm, t
 from statsmodels.tsa.arima_process import ArmaProcess
 
-from bayes_aero.inference.calibration import Dependence, prior_sensitivity
 from bayes_aero.inference.covariance import (
     LinearFit,
     calibration,
     cluster_covariance,
     corrected_covariance,
+    covariance_of,
     jackknife_covariance,
     robust_covariance,
     stationary_series,
 )
-from bayes_aero.inference.ensemble import Drawn, assemble
 from bayes_aero.inference.frequency import cramer_rao, solve
-from bayes_aero.inference.prediction_error import covariance_of
-from bayes_aero.inference.results import active_bounds, inseparable, prior_conflicts
+from bayes_aero.inference.mle import active_bounds, prior_conflicts
+from bayes_aero.inference.results import inseparable
+from bayes_aero.inference.sampling import Drawn, assemble
+from bayes_aero.inference.validation import Dependence, prior_sensitivity
 from bayes_aero.model.noise import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.text.identification import (

@@ -12,8 +12,8 @@ import pytest
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.pilot import fly_standard
-from bayes_aero.dynamics.trim import INPUTS, FlightState, Plant
+from bayes_aero.dynamics.pilot import INPUTS, FlightState, Plant, fly_standard
+from bayes_aero.dynamics.trim import Condition
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -244,7 +244,7 @@ def test_a_lag_of_any_name_is_flown_if_it_names_its_time_constant(card):
 
 def test_other_laws_of_the_stall_are_flown_and_fitted_by_their_own_break_angle(card, clean):
     model = in_place_of("flow_separation", ARCTAN_STALL, card)
-    found = fly_standard(model, values(k=30.0, alpha_half=0.22), card.aircraft, airspeed=95.0, altitude=5200.0, dt=0.04)
+    found = fly_standard(model, values(k=30.0, alpha_half=0.22), card.aircraft, Condition(95.0, 5200.0), dt=0.04)
     assert not found[2]
     flown, stall = found[0], found[0]["slow_stall"]
     assert stall["alpha"].max() > 0.22

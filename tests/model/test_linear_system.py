@@ -17,7 +17,7 @@ from linear_cards import (
     short_period_flight,
 )
 
-from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.flight import linear_dynamics
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model

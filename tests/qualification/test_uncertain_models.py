@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from linear_cards import record_of
-from scipy.optimize import linprog
 from scipy.stats import norm
 
 from bayes_aero.diagnosis.design import Information
-from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.flight import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
@@ -218,15 +217,6 @@ FAR = np.array([1e3, 0.5, -1e3])
 ])  # fmt: skip
 def test_the_nearest_point_of_a_hull(points, sample, expected):
     assert nearest(points, sample) == pytest.approx(expected, abs=1e-6 if sample is FAR else 1e-9)
-
-
-def test_a_sample_is_inside_if_linear_programming_finds_a_convex_combination_that_is_it():
-    rng = np.random.default_rng(0)
-    points = rng.standard_normal((60, 4))
-    for sample in 1.2 * rng.standard_normal((40, 4)):
-        weights = linprog(np.zeros(60), A_eq=np.vstack([points.T, np.ones(60)]), b_eq=np.append(sample, 1.0))
-        distance = np.linalg.norm(nearest(points, sample) - sample)
-        assert (distance < 1e-7) == (weights.status == 0)
 
 
 def channels(**given):

@@ -12,7 +12,6 @@ from simulated_halves import halves
 from bayes_aero.diagnosis.view import with_stalls
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.calibration import pit_of, stall_of_posterior
 from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.results import (
     GPReport,
@@ -23,9 +22,9 @@ from bayes_aero.inference.results import (
     Posterior,
     PosteriorStatus,
     Validation,
+    score,
 )
-from bayes_aero.inference.scores import score
-from bayes_aero.inference.validation import make_splits
+from bayes_aero.inference.validation import make_splits, pit_of, stall_of_posterior
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations

@@ -11,7 +11,7 @@ from PIL import Image
 from report_samples import CARD, N, flight, records, study_told, with_offsets
 
 from bayes_aero.diagnosis.result import FlownMode, Motion, TheilParts
-from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.io.results import RESULTS
 from bayes_aero.jobs.store import provenance

@@ -10,7 +10,7 @@ from calling import holds
 from linear_cards import SHORT_PERIOD
 
 from bayes_aero.diagnosis.result import ParameterChange, Verdict, verdict_of
-from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.flight import linear_dynamics
 from bayes_aero.effect import Untestable
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import parse_card, read_card

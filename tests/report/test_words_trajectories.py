@@ -9,8 +9,7 @@ from report_samples import flight, with_offsets
 from rich.console import Console
 
 from bayes_aero.diagnosis.result import Confirmation, Disagreement, LagTest, ProcessNoise
-from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.inference.scores import Calibration, OneStep, Predicted, Share
+from bayes_aero.inference.results import Calibration, OneStep, OutputErrorStatus, Predicted, Share
 from bayes_aero.report.figures.posterior import one_step_quantiles
 from bayes_aero.report.html.page import page_table
 from bayes_aero.report.style import NotDrawn

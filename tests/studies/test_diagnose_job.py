@@ -19,7 +19,7 @@ from bayes_aero.diagnosis.diagnose import NO_GAIN
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError, plain_line
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.results import score
 from bayes_aero.jobs import diagnose as job
 from bayes_aero.jobs.diagnose import diagnose_records, hide_one
 from bayes_aero.jobs.io import results as histories

@@ -1,6 +1,6 @@
 """Gaussian-process regression of one output on a few inputs: `fit_gp`, and its result `GPFit`.
 
-fit = fit_gp(X, y, input_names=("alpha", "elevator", "q", "V"), sample=True, seed=1)
+fit = fit_gp(X, y, names=("alpha", "elevator", "q", "V", "CL"), sample=True)
 fit.predict(X_new).mean;  fit.posterior;  fit.status.value;  fit.k_hat
 """
 
@@ -22,15 +22,20 @@ from tqdm import tqdm
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp.kernel import (
     FLAT,
+    SAME_OPTIMUM,
     HyperPrior,
+    MapStatus,
+    Optimum,
     Priors,
     ReducedData,
     Scaling,
+    distinct,
     factorise,
+    find_map,
+    maximise,
     noise_to_signal,
     scaled_distance_kernel,
 )
-from bayes_aero.inference.gp.optimum import SAME_OPTIMUM, MapStatus, Optimum, distinct, find_map, maximise
 from bayes_aero.inference.gp.posterior import (
     Budget,
     Sampled,
@@ -64,12 +69,10 @@ class GPFit:
 
     @property
     def map(self) -> dict[str, np.ndarray]:
-        """Most probable hyperparameters in physical units (density of their logarithms)."""
         return self.scaling.physical(self.optima[0].theta)
 
     @property
     def map_status(self) -> MapStatus:
-        """How the search for them ended."""
         return self.optima[0].status
 
     @property
@@ -79,8 +82,7 @@ class GPFit:
         return weighted.k_hat if weighted else float("nan")
 
     def predict(self, X_new: Matrix, *, draws: int = 24) -> Prediction:
-        """Predictive distribution at X_new (k, d), physical units: over `draws` of the posterior, or at the MAP
-        alone."""
+        """Predictive distribution at X_new (k, d), physical units, over `draws` of the posterior or at the MAP."""
         X_new = np.asarray(X_new, float)
         if X_new.ndim != 2 or X_new.shape[1] != len(self.input_names) or not np.all(np.isfinite(X_new)):
             raise InputError(
@@ -103,18 +105,17 @@ def fit_gp(
     X: Matrix,
     y: Vector,
     *,
-    input_names: tuple[str, ...] | None = None,
-    output_name: str = "y",
+    names: tuple[str, ...] = (),
     priors: Priors = Priors(),
     sample: bool = True,
-    seed: int = 0,
-    starts: int = 16,
     budget: Budget = Budget(),
     progress: Callable[[str], None] | None = None,
 ) -> GPFit:
     """Train a DPSE Gaussian process on inputs X (n, d) and output y (n,), any units; `sample` adds the posterior."""
+    # `names` of the inputs, and of the output behind them.
     X, y = np.asarray(X, float), np.asarray(y, float)
-    names = tuple(input_names or (f"x{i}" for i in range(X.shape[-1])))
+    names = names or (*(f"x{i}" for i in range(X.shape[-1])), "y")
+    names, output_name, seed = names[:-1], names[-1], budget.seed
     if len(X) > MAX_SAMPLES:
         raise InputError(too_many(len(X)))
     if sample and not priors.proper:
@@ -128,14 +129,14 @@ def fit_gp(
             bar.update()
 
         tell = progress or show
-        optima = tuple(find_map(data, priors, starts=starts, seed=seed, progress=tell))
+        optima = tuple(find_map(data, priors, starts=budget.starts, seed=seed, progress=tell))
         status, sampled, draws, tree = SampleStatus.not_sampled, None, None, None
         if sample and optima[0].status is MapStatus.not_positive_definite:
             status = SampleStatus.no_optimum
         elif sample and data.dependent:
             status = SampleStatus.dependent
         elif sample:
-            sampled = sample_posterior(optima[0], data, priors, budget=budget, seed=seed, tell=tell)
+            sampled = sample_posterior(optima[0], data, priors, budget=budget, tell=tell)
             status = sampled.status
     if sampled is not None and sampled.weighted is not None and status is SampleStatus.accepted:
         weighted = sampled.weighted
@@ -216,7 +217,7 @@ def gaussian_parts(
     theta: Float[np.ndarray, " p"], data: ReducedData, x_new: Float[np.ndarray, "k d"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Mean and variance of the latent function at scaled inputs x_new (k, d), in scaled output units."""
-    # With R, F, D of `emulator`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
+    # With R, F, D of `kernel`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
     # Williams 2006, eq. 2.42) with a proper prior D on the basis. One factorisation and one triangular solve.
     d, factor = data.x.shape[1], factorise(noise_to_signal(theta), data)
     if factor is None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Callable
 from functools import lru_cache, partial
+from itertools import combinations_with_replacement
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,23 +18,136 @@ from arviz_base import from_dict
 from arviz_stats.base import array_stats
 from jaxtyping import Array, Float, Int
 from numpyro.infer.hmc import hmc
+from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
 from bayes_aero.inference.gp.kernel import (
-    Emulator,
     ExactPoint,
+    Optimum,
     Priors,
+    ProfilePosterior,
     ReducedData,
     ReducedStats,
     Scaling,
-    fit_emulator,
+    curvature,
     hyper_names,
     length_slice,
+    log_posterior,
     noise_to_signal,
-    reduced_stats,
+    slopes,
     stats_and_gradient,
 )
-from bayes_aero.inference.gp.optimum import Optimum, ProfilePosterior, curvature
+
+# --- Emulator of the n x n statistics near the optimum: polynomials in (log l, log g), fitted with gradients.
+#
+# `logdet` and the logarithmic Cholesky factor of `gram` are smooth functions of u = (log l_1..d, log g), d + 1 numbers;
+# every exact evaluation gives their values and all first derivatives, so a few tens of evaluations determine a full
+# cubic. `reweight` measures the error of the stand-in on exact evaluations and removes it.
+
+DEGREE = 4  # also the order of the coefficient tensor below
+# With fewer rows than this times its terms, a degree is too high.
+ROWS_PER_TERM = (0.0, 2.0, 2.0, 2.0, 3.0)
+REACH = 2.0  # whitened distance from a supporting point up to which the stand-in is used
+SUPPORT_GAP = 12.0  # nats below the best point up to which a point supports; others train with a small weight
+PAD = 64  # the list of supporting points is padded to this times a power of two: few lengths, few compiled samplers
+
+
+class Emulator(eqx.Module):
+    """Polynomial stand-in of degree <= 4 in the whitened t: coefficients of s_a s_b, where s = (t, 1) x (t, 1)."""
+
+    # Each monomial keeps one place in that tensor, the others are zero: dense products beat gathers in XLA, and the
+    # shape does not depend on the degree, so that one compiled sampler serves every round.
+    centre: Float[Array, " u"]
+    whiten: Float[Array, "u u"]
+    coefficients: Float[Array, "pairs pairs outputs"]
+    support: Float[Array, "points u"]
+
+    def __call__(self, u: Float[Array, " u"]) -> tuple[Float[Array, ""], Float[Array, "m m"], Float[Array, ""]]:
+        """(logdet, gram, penalty) at u; the penalty, <= 0, excludes regions far from exact points."""
+        t = self.whiten @ (u - self.centre)
+        away = t - self.support
+        squares = jnp.sum(away * away, axis=1)
+        nearest = jnp.argmin(squares)
+        distance = jnp.sqrt(squares[nearest] + 1e-12)
+        outside = jnp.maximum(distance - REACH, 0.0)
+        t = t - away[nearest] * outside / distance  # a polynomial is wrong far from its data: hold it at the border
+        t1 = jnp.append(t, 1.0)
+        pairs = (t1[:, None] * t1).ravel()
+        z = pairs @ jnp.tensordot(pairs, self.coefficients, 1)
+        m = u.shape[0] + 1
+        lower = jnp.zeros((m, m)).at[np.tril_indices(m, -1)].set(z[m + 1 :])
+        lower = lower + jnp.diag(jnp.exp(z[1 : m + 1]))
+        return z[0], lower @ lower.T, -8.0 * outside**2
+
+
+def outputs(point: ExactPoint) -> tuple[Float[np.ndarray, " outputs"], Float[np.ndarray, "u outputs"]]:
+    """(logdet, log diagonal, strict lower part of chol gram) and their derivatives by u, NaN if unknown."""
+    m = point.stats.gram.shape[0]
+    lower = np.linalg.cholesky(point.stats.gram)
+    rows = np.tril_indices(m, -1)
+
+    def pack(logdet, diagonal, factor):
+        return np.concatenate([[logdet], diagonal, factor[rows]])
+
+    value, slopes = pack(point.stats.logdet, np.log(np.diag(lower)), lower), []
+    if point.gradient is None:
+        return value, np.full((point.u.size, value.size), np.nan)
+    for d_logdet, d_gram in zip(point.gradient.logdet, point.gradient.gram, strict=True):
+        inner = solve_triangular(lower, d_gram, lower=True)
+        inner = solve_triangular(lower, inner.T, lower=True)
+        d_lower = lower @ (np.tril(inner, -1) + 0.5 * np.diag(np.diag(inner)))
+        slopes.append(pack(d_logdet, np.diag(d_lower) / np.diag(lower), d_lower))
+    return value, np.array(slopes)
+
+
+def design(
+    t: Float[np.ndarray, "points u"], powers: Int[np.ndarray, "terms degree"]
+) -> Float[np.ndarray, "rows terms"]:
+    """Rows of the least-squares problem: monomial values at t, then their derivatives by each coordinate."""
+    points, d = t.shape
+    padded = np.hstack([t, np.ones((points, 1))])
+    factors = padded[:, powers]  # (points, terms, degree)
+    blocks = [factors.prod(axis=2)]
+    for k in range(d):
+        slope = np.zeros(factors.shape[:2])
+        for j in range(powers.shape[1]):
+            others = np.delete(factors, j, axis=2).prod(axis=2)
+            slope += np.where(powers[:, j] == k, others, 0.0)
+        blocks.append(slope)
+    return np.concatenate(blocks)
+
+
+def fit_emulator(
+    points: list[ExactPoint], log_posterior: Float[np.ndarray, " points"], degree: int = DEGREE
+) -> Emulator:
+    """Weighted least squares on values and gradients of `points`, with the highest degree that they determine."""
+    # The weight of a point follows from its `log_posterior`. Coordinates are whitened by the points near the best one.
+    u, gap = np.array([p.u for p in points]), np.max(log_posterior) - log_posterior
+    d = u.shape[1]
+    near = gap <= max(SUPPORT_GAP, np.sort(gap)[min(3 * d, gap.size - 1)])
+    centre, root = u[near].mean(axis=0), np.linalg.cholesky(np.cov(u[near].T))
+    whiten = solve_triangular(root, np.eye(d), lower=True)
+    t = (u - centre) @ whiten.T
+    rows = sum(1 if p.gradient is None else d + 1 for p in points)
+    while degree > 1 and ROWS_PER_TERM[degree] * math.comb(d + degree, degree) > rows:
+        degree -= 1
+    # Factor indices of every monomial up to this degree, padded with d (which stands for 1).
+    powers = np.array(list(combinations_with_replacement(range(d + 1), degree)))
+    values, slopes = zip(*(outputs(p) for p in points), strict=True)
+    by_t = np.einsum("jk,pjz->kpz", root, np.array(slopes)).reshape(d * len(u), -1)
+    weight = np.tile(1.0 / (1.0 + gap / SUPPORT_GAP) ** 2, d + 1)[:, None]
+    left, right = design(t, powers) * weight, np.vstack([values, by_t]) * weight
+    finite = np.all(np.isfinite(right), axis=1)
+    coefficients, *_ = np.linalg.lstsq(left[finite], right[finite], rcond=1e-12)
+    support = t[near]
+    length = PAD * 2 ** max(0, math.ceil(math.log2(len(support) / PAD)))
+    support = np.concatenate([support, np.repeat(support[:1], length - len(support), axis=0)])
+    padded = np.pad(powers, ((0, 0), (0, DEGREE - powers.shape[1])), constant_values=d)
+    tensor = np.zeros(((d + 1) ** 4, coefficients.shape[1]))
+    tensor[np.ravel_multi_index(tuple(padded.T), (d + 1,) * 4)] = coefficients
+    tensor = tensor.reshape((d + 1) ** 2, (d + 1) ** 2, -1)
+    return Emulator(jnp.asarray(centre), jnp.asarray(whiten), jnp.asarray(tensor), jnp.asarray(support))
+
 
 # --- NUTS over all 2d + 3 hyperparameters, on the stand-in density.
 
@@ -60,13 +176,11 @@ class Chains(NamedTuple):
 
     @classmethod
     def of(cls, theta: np.ndarray, density: np.ndarray, divergences: int) -> Chains:
-        """With R-hat and bulk ESS by ArviZ."""
         columns = np.moveaxis(theta, -1, 0)
         rhat, ess = (np.array([f(c) for c in columns]) for f in (array_stats.rhat, array_stats.ess))
         return cls(theta, density, divergences, rhat, ess)
 
     def followed_by(self, then: Chains) -> Chains:
-        """Two runs on one density, the second started where the first ended, as one."""
         theta, density = (np.concatenate([getattr(x, n) for x in (self, then)], 1) for n in ("theta", "log_density"))
         return Chains.of(theta, density, self.divergences + then.divergences)
 
@@ -201,7 +315,6 @@ class Weighted(NamedTuple):
 
     @property
     def status(self) -> SampleStatus:
-        """Verdict on the stand-in."""
         if self.failures:
             return SampleStatus.not_positive_definite
         if self.k_hat > K_LIMIT:
@@ -234,32 +347,30 @@ def reweight(
 ) -> Weighted:
     """Evaluate every theta exactly (one factorisation each) and weigh it."""
     flat = theta.reshape(-1, theta.shape[-1])
-    exact: list[ExactDensity] = []
+    exact: list[tuple[float, ReducedStats]] = []
     for i, t in enumerate(flat):
-        exact.append(log_density(t, data, priors, gradient=False))
+        exact.append(log_posterior(t, data, priors))
         tell(f"exact evaluation {i + 1} of {len(flat)}")
-    value = np.array([e.value for e in exact]).reshape(stand_in.shape)
-    failures = sum(not e.ok for e in exact)
+    value = np.array([x for x, _ in exact]).reshape(stand_in.shape)
+    failures = int(np.sum(~np.isfinite(value)))
     if failures:
         nothing = np.full(value.shape, np.nan)
         return Weighted(theta, value, stand_in, nothing, np.inf, 0.0, failures)
     log_weight, k_hat = pareto_smooth(value - stand_in)
     ess = float(np.exp(-np.asarray(logsumexp(2.0 * log_weight))))
-    return Weighted(theta, value, stand_in, log_weight, k_hat, ess, 0, tuple(e.stats for e in exact))
+    return Weighted(theta, value, stand_in, log_weight, k_hat, ess, 0, tuple(stats for _, stats in exact))
 
 
-# --- Log marginal likelihood and log posterior of the hyperparameters, exactly, from the reduced statistics.
-# log p(y | theta) = -1/2 y'K^-1 y - 1/2 log|K| - n/2 log 2 pi, and the MAP objective adds log q(theta). (Eq. 7 of
-# the seed paper prints a logarithm around the whole sum by mistake.) The textbook gradient 1/2 tr[(a a' - K^-1)
-# dK/dtheta], a = K^-1 y, is assembled in two steps: the n x n step has hand-written derivatives (`emulator`,
-# through LAPACK), the (d + 2) x (d + 2) step is small enough for autodiff. Nothing differentiates through an n x n
-# Cholesky.
+# --- Log posterior of the hyperparameters from the reduced statistics, as compiled code; `kernel.slopes` has it with
+# derivatives. log p(y | theta) = -1/2 y'K^-1 y - 1/2 log|K| - n/2 log 2 pi, and the MAP objective adds log q(theta).
+# (Eq. 7 of the seed paper prints a logarithm around the whole sum by mistake.) Nothing differentiates through an n x n
+# Cholesky: the n x n step has hand-written derivatives, through LAPACK.
 
 
-def small_likelihood(
-    theta: Float[Array, " p"], logdet: Float[Array, ""], gram: Float[Array, "m m"], n
+def small_posterior(
+    theta: Float[Array, " p"], logdet: Float[Array, ""], gram: Float[Array, "m m"], n, priors: Priors
 ) -> Float[Array, ""]:
-    """log p(y | theta) given the statistics at theta's own (l, g); exact, O(d^3)."""
+    """log q(theta) + log p(y | theta) given the statistics at theta's own (l, g); exact, O(d^3)."""
     d = (theta.shape[0] - 3) // 2
     log_sf = theta[d + 1]
     root = jnp.exp(theta[: d + 1] - log_sf)  # D^1/2
@@ -268,50 +379,7 @@ def small_likelihood(
     t = jax.scipy.linalg.solve_triangular(lower, root * gram[: d + 1, d + 1], lower=True)
     quadratic = (gram[d + 1, d + 1] - t @ t) * jnp.exp(-2.0 * log_sf)
     log_k = n * 2.0 * log_sf + logdet + 2.0 * jnp.sum(jnp.log(jnp.diagonal(lower)))
-    return -0.5 * (quadratic + log_k + n * jnp.log(2.0 * jnp.pi))
-
-
-def small_posterior(theta, logdet, gram, n, priors: Priors) -> Float[Array, ""]:
-    """log q(theta) + log p(y | theta), given the statistics."""
-    return small_likelihood(theta, logdet, gram, n) + priors.log_density(theta)
-
-
-@lru_cache(maxsize=16)
-def compiled_posterior(priors: Priors):
-    """`small_posterior` and its derivatives by theta, logdet and gram, compiled once for all n."""
-    return jax.jit(jax.value_and_grad(partial(small_posterior, priors=priors), argnums=(0, 1, 2)))
-
-
-class ExactDensity(NamedTuple):
-    """Log posterior density, its gradient (p,), and whether K was positive definite (else both are NaN)."""
-
-    value: float
-    gradient: Float[np.ndarray, " p"]
-    ok: bool
-    stats: ReducedStats
-
-
-def log_density(
-    theta: Float[np.ndarray, " p"], data: ReducedData, priors: Priors, *, gradient: bool = True
-) -> ExactDensity:
-    """log q(theta) + log p(y | theta) at all n points, with the analytic gradient in theta (log, scaled units)."""
-    d, u = data.x.shape[1], noise_to_signal(theta)
-    if gradient:
-        stats, du = stats_and_gradient(u, data)
-    else:
-        stats, du = reduced_stats(u, data), None
-    if not stats.ok:
-        return ExactDensity(np.nan, np.full(theta.size, np.nan), False, stats)
-    value, (by_theta, by_logdet, by_gram) = compiled_posterior(priors)(theta, stats.logdet, stats.gram, data.n)
-    total = np.array(by_theta)
-    if du is None:
-        total[:] = np.nan
-    else:
-        by_u = float(by_logdet) * du.logdet + np.tensordot(du.gram, np.asarray(by_gram), 2)
-        total[length_slice(d)] += by_u[:d]
-        total[d + 1] -= 2.0 * by_u[d]
-        total[-1] += 2.0 * by_u[d]
-    return ExactDensity(float(value), total, bool(np.isfinite(value)), stats)
+    return -0.5 * (quadratic + log_k + n * jnp.log(2.0 * jnp.pi)) + priors.log_density(theta)
 
 
 # --- The stand-in is trained until draws of it can be weighted.
@@ -324,7 +392,7 @@ MAX_GAP = 30.0  # nats below the best point, beyond which a point no longer trai
 
 
 class Budget(NamedTuple):
-    """Budget of the sampling."""
+    """Of the search for the mode and of the sampling, and the seed of both."""
 
     design: int = 52  # gradients, as `pilots`
     pilots: int = 12
@@ -332,6 +400,8 @@ class Budget(NamedTuple):
     rounds: int = 8  # of training, at most
     extensions: int = 2  # of a NUTS run that has not mixed
     nuts: Settings = Settings()
+    starts: int = 16  # of the search for the mode
+    seed: int = 0
 
 
 class Sampled(NamedTuple):
@@ -350,10 +420,10 @@ def sample_posterior(
     priors: Priors,
     *,
     budget: Budget = Budget(),
-    seed: int = 0,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Sampled:
     """Draws of theta from the exact posterior around `optimum`, or the reason why there are none."""
+    seed = budget.seed
     rng = np.random.default_rng(seed)
     covariance, points = curvature(optimum, data, priors)
     root = np.linalg.cholesky(covariance)
@@ -375,9 +445,9 @@ def sample_posterior(
         us = [noise_to_signal(t) for t in flat[at]]
         pilots, error = [ExactPoint(u, *stats_and_gradient(u, data)) for u in us], np.inf
         if all(p.stats.ok for p in pilots):
-            density, pairs = compiled_posterior(priors), zip(flat[at], pilots, strict=True)
-            exact = [density(t, p.stats.logdet, p.stats.gram, float(data.n))[0] for t, p in pairs]
-            error = float(np.std(np.array(exact, float) - chains.log_density.ravel()[at] / TEMPER))
+            n, pairs = float(data.n), zip(flat[at], pilots, strict=True)
+            exact = [slopes(t[: p.u.size + 1], p.u, p.stats, n, priors).value for t, p in pairs]
+            error = float(np.std(np.array(exact) - chains.log_density.ravel()[at] / TEMPER))
         points += pilots
         tell(f"round {number}: the stand-in errs by {error:.2g} in log density")
         last = number == budget.rounds

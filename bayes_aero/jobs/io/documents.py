@@ -11,7 +11,7 @@ from msgspec import UnsetType as Unset
 from msgspec.json import schema
 
 from bayes_aero.diagnosis.result import CancellingPair, CausesInBand, SizeInBand
-from bayes_aero.inference.scores import Share as InsideShare
+from bayes_aero.inference.results import Share as InsideShare
 from bayes_aero.jobs.io import parts as shared_parts
 from bayes_aero.jobs.io.parts import (
     TWO,

@@ -15,7 +15,7 @@ from scipy.signal import welch
 
 from bayes_aero.diagnosis.result import FLIGHT_PATH, Fitted, Ranking, Trajectories, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.inference.scores import Scores, score
+from bayes_aero.inference.results import Scores, score
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import drawn

@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from bayes_aero.diagnosis.result import ProcessNoise
-from bayes_aero.inference.results import Identification, Posterior
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.results import Identification, Posterior, score
 from bayes_aero.model.noise import Colour
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style

@@ -15,8 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.diagnosis.result import FITTED, START, ProcessNoise, SimulatedManoeuvre, TrajectoryFit, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.inference.results import Identification
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.results import Identification, score
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style

@@ -18,8 +18,7 @@ from bayes_aero.diagnosis.result import (
     TrajectoryFit,
 )
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.inference.results import Marginal, Posterior
-from bayes_aero.inference.scores import OneStep
+from bayes_aero.inference.results import Marginal, OneStep, Posterior
 from bayes_aero.parameter import Prior
 from bayes_aero.report.frequency import band_text, frequency_columns
 from bayes_aero.report.tables.comparison import engine_label

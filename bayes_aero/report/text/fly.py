@@ -11,8 +11,7 @@ from bayes_aero.diagnosis.result import FITTED, Disagreement, ProcessNoise, Traj
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import TOLERANCES
-from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep
+from bayes_aero.inference.results import COLOURED_INNOVATIONS, Calibration, OneStep, OutputErrorStatus
 from bayes_aero.report.text.identification import inseparable_sentences, sign_sentences
 from bayes_aero.report.text.phrases import amounts, nats_text, plus_minus, several, short, size_text, symbol, unparted
 

@@ -1,4 +1,4 @@
-"""The posterior mode and its curvature: where samplers start and the scale on which they work."""
+"""Posteriors by samplers: where they start, the posterior mode with its curvature; emcee; NumPyro's NUTS."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cache, partial
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import arviz_base as azb
 import arviz_stats as azs
@@ -18,6 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpyro.infer.hmc import HMCState, hmc
+from numpyro.infer.hmc_util import dual_averaging
 from scipy import optimize
 
 from bayes_aero.inference.results import Marginal, MleResult, Posterior, PosteriorStatus
@@ -78,7 +81,6 @@ class _Point:
 
     @property
     def usable(self) -> bool:
-        """Whether the density is finite here, and its gradient."""
         return bool(np.isfinite(self.value) and np.isfinite(self.slope).all())
 
     def factor(self, step: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -102,7 +104,6 @@ class _Point:
         return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(finite.all() and eigenvalues[0] > floor)
 
     def climb(self, factor: np.ndarray) -> _Point:
-        """Where L-BFGS leads on coordinates scaled by `factor`."""
 
         def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
             at = _Point(self.density, self.u + factor @ v)
@@ -210,7 +211,6 @@ AUTOCORRELATION_TIMES = 30  # length of a run from which the estimate of its aut
 
 @eqx.filter_jit
 def _log_density(density: LogDensity, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]):
-    """Log-density of whitened coordinates, one row a walker."""
     return jax.vmap(lambda row: density(u + factor @ row))(v)
 
 
@@ -246,8 +246,7 @@ class _Target:
 
 
 class EnsembleLength(NamedTuple):
-    """Number of independent ensembles, largest number of steps of each, and walkers of each; default: two for each
-    parameter and four more. On a graphics processor many walkers cost hardly more than one."""
+    """Independent ensembles, most steps of each, walkers (default: two for each parameter and four more)."""
 
     ensembles: int = 4
     max_steps: int = 4000
@@ -255,7 +254,6 @@ class EnsembleLength(NamedTuple):
 
 
 def _sampler(target: _Target, walkers: int, proposal: _IndependenceProposal, seed: int) -> emcee.EnsembleSampler:
-    """A sampler that has not moved yet."""
     moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
     sampler = emcee.EnsembleSampler(walkers, target.density.size, target, moves=moves, vectorize=True)
     random = np.random.RandomState(seed % 2**32)  # emcee takes this generator only
@@ -300,8 +298,7 @@ class _Ensembles:
         return slowest if np.isfinite(slowest) else np.inf
 
     def draws(self, thin: int) -> tuple[Float[np.ndarray, "chain draw k"], dict[str, np.ndarray]]:
-        """One chain per ensemble, its walkers end to end, so that R-hat compares ensembles and ESS accounts for the
-        autocorrelation of each walker; log-density and walker of every draw."""
+        """One chain an ensemble, walkers end to end, so that R-hat compares ensembles; log-density and walker."""
         chains = np.stack([np.asarray(s.get_chain(thin=thin)) for s in self.samplers])  # ensemble draw walker k
         lp = np.stack([np.asarray(s.get_log_prob(thin=thin)).T for s in self.samplers])
         ensembles, walkers, draws = lp.shape
@@ -321,8 +318,7 @@ def sample_ensemble(
     progress: Progress | None = None,
     predictive: bool = True,
 ) -> Posterior:
-    """Sample until every parameter reaches the targets of ESS and R-hat and the run spans many autocorrelation times.
-    Moves: independence proposals from a Student t fitted to the burn-in, mixed with differential evolution."""
+    """Sample until ESS and R-hat reach their targets and the run spans many autocorrelation times."""
     began = time.perf_counter()
     ensembles = _Ensembles(density, mode, seed, length)
     while True:
@@ -394,7 +390,6 @@ def constrain_draws(density: LogDensity, u: Float[Array, "chain draw k"]) -> Flo
 
 @eqx.filter_jit
 def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m n c"]):
-    """Log-likelihood per sample and replicated coefficients for each row of x; both (m, n, c)."""
     return jax.lax.map(lambda pair: (density.pointwise(pair[0]), density.replicate(*pair)), (x, white))
 
 
@@ -436,3 +431,154 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
     status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
     status = PosteriorStatus.DIVERGENT if drawn.divergent else status
     return Posterior(drawn.engine, density.noise_label, names, tree, marginals, status, seconds)
+
+
+# --- The posterior by NumPyro's NUTS: the independent check on the one density.
+
+CALL_DRAWS = 100  # draws of one compiled call; warm-up and blocks are rounded up to a multiple
+BLOCK_DRAWS = 300  # draws per chain between two checks of the diagnostics
+DIVERGENT_SHARE = 0.005
+FIRST_STEP = 0.5  # on the scale of the curvature at the mode, where no metric is adapted
+FIELDS = ("diverging", "num_steps", "accept_prob", "potential_energy")
+
+
+class WarmUp(NamedTuple):
+    """Steps; acceptance to which the step size is adapted; whether a dense metric is adapted, too."""
+
+    # A metric of few steps is worse than the curvature at the mode, on whose scale the chains begin: the covariance of
+    # 75 draws of 26 independent normal coordinates has deviations of 0.4 to 1.6. Without a metric the step size is
+    # adapted here, because NumPyro takes it from the last tenth of a short warm-up, which it begins with ten times the
+    # step.
+    steps: int = 500
+    acceptance: float = 0.95
+    metric: bool = True
+
+
+class Chain(NamedTuple):
+    """State of NumPyro's kernel, and of the dual averaging of the step size (of Hoffman and Gelman 2014)."""
+
+    kernel: HMCState
+    averaged: tuple[Any, ...]
+
+    def with_step(self, size: Array) -> Chain:
+        return self._replace(kernel=self.kernel._replace(adapt_state=self.kernel.adapt_state._replace(step_size=size)))
+
+
+@cache
+def _kernel(warmup: WarmUp):
+    """NumPyro's functional NUTS, with the data as arguments: MCMC would compile again for every data set and chain."""
+    # One for each warm-up, which the kernel stores when it starts.
+    del warmup
+    potential = lambda density, centre, factor: lambda v: -density(centre + factor @ v)  # noqa: E731
+    return hmc(potential_fn_gen=potential, algo="NUTS")
+
+
+Target = tuple[LogDensity, Array, Array]
+"""A density, with the centre and the factor of its whitened coordinates."""
+
+
+@eqx.filter_jit
+def _start_chain(target: Target, warmup: WarmUp, key: Array, v: Float[Array, " k"]) -> Chain:
+    begin, _ = _kernel(warmup)
+    key, _ = jax.random.split(key)  # as numpyro's NUTS does: the same draws
+    setting: Any = {"target_accept_prob": warmup.acceptance, "model_args": target, "rng_key": key}
+    if warmup.metric:
+        setting |= {"dense_mass": True}
+    else:
+        setting |= {"adapt_step_size": False, "adapt_mass_matrix": False, "step_size": FIRST_STEP}
+    first: Any = dual_averaging()[0]
+    return Chain(begin(v, warmup.steps, **setting), first(jnp.log(FIRST_STEP)))
+
+
+@eqx.filter_jit
+def _draw_steps(
+    target: Target, warmup: WarmUp, adapting: Array, chain: Chain
+) -> tuple[Chain, tuple[Array, dict[str, Array]]]:
+    _, sample = _kernel(warmup)
+    _, update = dual_averaging()
+
+    def step(chain: Chain, _: None):
+        state = sample(chain.kernel, target)  # adapts a metric for as long as state.i is below the steps of `warmup`
+        drawn = state.z, {name: getattr(state, name) for name in FIELDS}
+        if warmup.metric:
+            return chain._replace(kernel=state), drawn
+        chain = Chain(state, update(warmup.acceptance - state.accept_prob, chain.averaged))
+        return chain.with_step(jnp.where(adapting, jnp.exp(chain.averaged[0]), state.adapt_state.step_size)), drawn
+
+    return jax.lax.scan(step, chain, None, length=CALL_DRAWS)
+
+
+class NutsLength(NamedTuple):
+    """Chains, their warm-up, and the most blocks of draws that follow it."""
+
+    chains: int = 4
+    warmup: WarmUp = WarmUp()
+    max_blocks: int = 8
+
+
+def sample_nuts(
+    density: LogDensity,
+    mode: PosteriorMode,
+    *,
+    seed: int = 0,
+    length: NutsLength = NutsLength(),
+    progress: Progress | None = None,
+    predictive: bool = True,
+) -> Posterior:
+    """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them."""
+    # Works on coordinates whitened by the curvature at the mode; starts are drawn from that Laplace approximation, each
+    # chain its own, so that R-hat can see a second mode nearby. `progress(text, share)` is called after every block.
+    began = time.perf_counter()
+    chains = _Chains(density, mode, length, seed)
+    most = length.max_blocks * BLOCK_DRAWS
+    while True:
+        chains.draw(BLOCK_DRAWS)
+        x = np.concatenate(chains.x, axis=1)
+        marginals = diagnose(x, density.names)
+        done = converged(marginals) or x.shape[1] >= most
+        if progress:
+            least = min(m.ess_bulk for m in marginals.values())
+            progress(f"NUTS: {x.shape[1]} draws a chain, ESS {least:.0f}", 1.0 if done else x.shape[1] / most)
+        if done:
+            break
+    stats = {
+        name: np.concatenate([f[field] for f in chains.statistics], axis=1)
+        for name, field in zip(("diverging", "n_steps", "acceptance_rate", "lp"), FIELDS, strict=True)
+    }
+    stats["lp"] = -stats["lp"]
+    divergent = float(stats["diverging"].mean()) > DIVERGENT_SHARE
+    drawn = Drawn("nuts", x, stats, marginals, divergent)
+    return assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
+
+
+class _Chains:
+    """Chains after their warm-up, with draws `x` and the statistics of NUTS."""
+
+    def __init__(self, density: LogDensity, mode: PosteriorMode, length: NutsLength, seed: int) -> None:
+        self.density, self.mode, self.warmup = density, mode, length.warmup
+        self.x: list[np.ndarray] = []
+        self.statistics: list[dict[str, np.ndarray]] = []
+        self.target = density, jnp.asarray(mode.u), jnp.asarray(mode.factor)
+        start_key, run_key = jax.random.split(jax.random.PRNGKey(seed))
+        starts = jax.random.normal(start_key, (length.chains, density.size))
+        keys = jax.random.split(run_key, length.chains)
+        self.chains = [_start_chain(self.target, self.warmup, key, v) for key, v in zip(keys, starts, strict=True)]
+        for number in range(-(-self.warmup.steps // CALL_DRAWS)):  # the first chain starts alone and compiles
+            parts = [self.chains] if number else [self.chains[:1], self.chains[1:]]
+            self.chains = [chain for part in parts for chain, _ in self._advance(part, adapting=True)]
+        if not self.warmup.metric:
+            self.chains = [chain.with_step(jnp.exp(chain.averaged[1])) for chain in self.chains]
+
+    def draw(self, steps: int) -> None:
+        for _ in range(steps // CALL_DRAWS):
+            ends = self._advance(self.chains, adapting=False)
+            self.chains = [chain for chain, _ in ends]
+            v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
+            self.x.append(np.asarray(constrain_draws(self.density, jnp.asarray(self.mode.unwhiten(v)))))
+            every = [statistics for _, (_, statistics) in ends]
+            self.statistics.append({name: np.stack([np.asarray(one[name]) for one in every]) for name in FIELDS})
+
+    def _advance(self, chains: list[Chain], *, adapting: bool) -> list[tuple[Chain, tuple[Array, dict[str, Array]]]]:
+        with ThreadPoolExecutor(max(1, min(len(chains), cores()))) as pool:
+            step = partial(_draw_steps, self.target, self.warmup, jnp.asarray(adapting))
+            return list(pool.map(lambda chain: jax.block_until_ready(step(chain)), chains))
