@@ -22,7 +22,7 @@ from bayes_aero.diagnosis.selection_state import (
     optimum,
 )
 from bayes_aero.effect import Effect
-from bayes_aero.flight.health.finding import noise_of
+from bayes_aero.flight.health import noise_of
 from bayes_aero.inference.scores import Scores, log_density, log_score_gain, log_score_gains, score
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter

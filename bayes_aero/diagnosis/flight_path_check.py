@@ -19,7 +19,7 @@ from jaxtyping import Float
 from scipy.fft import next_fast_len
 
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import Departure, PathCheck, noise_of
+from bayes_aero.flight.health import Departure, PathCheck, noise_of
 from bayes_aero.physics.aircraft import NO_AIRCRAFT
 from bayes_aero.physics.filters import differentiate_joined
 from bayes_aero.physics.kinematics import PATH_NEEDS, RATES, STRAIGHT, integral, path_outputs, path_rates

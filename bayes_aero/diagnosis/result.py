@@ -15,7 +15,7 @@ from bayes_aero.diagnosis.components import ProductTerm
 from bayes_aero.diagnosis.screening import NoiseReport
 from bayes_aero.diagnosis.selection import Absorbed, CancellingPair, Extension
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.reading import RecordReport
 from bayes_aero.inference.scores import Scores
 from bayes_aero.parameter import Parameter

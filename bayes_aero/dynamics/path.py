@@ -24,7 +24,7 @@ from bayes_aero.dynamics.system import Row, System
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.readings import dead_heading
+from bayes_aero.flight.health.kinematics import dead_heading
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter

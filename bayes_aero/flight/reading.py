@@ -25,12 +25,14 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, split_heading
 from bayes_aero.flight.checks import JITTER, check_record, failures, resample_record, without_bad_options
+from bayes_aero.flight.health import runs_of
 from bayes_aero.flight.health.air import grounded
-from bayes_aero.flight.health.finding import runs_of
-from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.readers.base import FileColumn, Heading, HeadingIndex, OpenedFile, located
+from bayes_aero.flight.readers import FileColumn, Heading, HeadingIndex, OpenedFile, binary, located, text
 from bayes_aero.flight.record import GAP, SHORTEST, FlightRecord, cut, expanded, parts_of, samples_of, segment_of
 from bayes_aero.units import canonical, instant, same_kind, same_unit, to_si
+
+READERS: Mapping[str, Callable[[bytes], OpenedFile]] = dict(sorted((text.READS | binary.READS).items()))
+"""What opens a file, by its suffix."""
 
 MAX_BYTES = 1 << 30  # largest file that is taken for one manoeuvre: 1 GiB
 

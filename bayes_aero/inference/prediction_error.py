@@ -27,7 +27,7 @@ from bayes_aero.dynamics.innovations import (
 )
 from bayes_aero.dynamics.kalman import Filtered, log_likelihood
 from bayes_aero.dynamics.segments import SegmentTrajectories
-from bayes_aero.flight.health.finding import quantum
+from bayes_aero.flight.health import quantum
 from bayes_aero.inference.optimise import APPROXIMATE_SCORING, Evaluation, minimise
 from bayes_aero.inference.output_error_result import initial_state_sd
 

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.scores import Scores

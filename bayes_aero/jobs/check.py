@@ -14,7 +14,7 @@ from bayes_aero.diagnosis.consistency import KnownErrors, errors_of_path, screen
 from bayes_aero.diagnosis.result import CheckReport, SensorCheck
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import Agreement
+from bayes_aero.flight.health import Agreement
 from bayes_aero.flight.reading import RecordReport, inspect_record, manoeuvres
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.documents import ConsistencyPart

@@ -27,7 +27,7 @@ from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import only_following
+from bayes_aero.flight.health import only_following
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome, diagnosis_results
 from bayes_aero.jobs.io.result_file import writable

@@ -12,7 +12,7 @@ from bayes_aero.diagnosis.result import CheckReport, SensorCheck
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import channel_units, parse_card, shipped_cards
 from bayes_aero.flight.card_tables import parse_aircraft, parse_envelope, refuse_no_body
-from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.flight.health import Consistency
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import check_records
 from bayes_aero.model.model import Model

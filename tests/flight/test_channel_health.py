@@ -16,8 +16,7 @@ from stranger import plane
 from bayes_aero.diagnosis.candidate_set import DEFAULT, too_short
 from bayes_aero.dynamics.path import path_states
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.health import channel_health
-from bayes_aero.flight.health.channel import frozen, interpolated_period, saturated
+from bayes_aero.flight.health.channel import channel_health, frozen, interpolated_period, saturated
 from bayes_aero.flight.health.controls import answers_no_input, feedback
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord

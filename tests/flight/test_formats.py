@@ -24,12 +24,11 @@ from scipy.io import netcdf_file, savemat
 from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.readers import READERS
 from bayes_aero.flight.readers import binary as excel
 from bayes_aero.flight.readers import binary as process
-from bayes_aero.flight.readers.base import located
+from bayes_aero.flight.readers import located
 from bayes_aero.flight.readers.binary import open_dataflash, open_excel, open_mdf, open_ulog
-from bayes_aero.flight.reading import read_raw, read_record
+from bayes_aero.flight.reading import READERS, read_raw, read_record
 from bayes_aero.flight.record import FlightRecord, write_record
 
 OPENERS = {".xlsx": open_excel, ".mf4": open_mdf, ".ulg": open_ulog, ".bin": open_dataflash}
@@ -671,7 +670,7 @@ def test_a_parser_that_never_ends_is_stopped(monkeypatch, tmp_path):
 
 def test_the_libraries_are_not_loaded_before_they_are_needed():
     program = (
-        "import sys; from bayes_aero.flight.readers import READERS; "
+        "import sys; from bayes_aero.flight.reading import READERS; "
         f"print(sorted({set(LIBRARIES)!r} - set(READERS)), {set(LIBRARIES.values())!r} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

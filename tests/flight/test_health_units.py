@@ -10,9 +10,9 @@ from flights import NOISE, UNITS, G, card, changed, flight, smooth
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.air import across, derivatives
-from bayes_aero.flight.health.refuted import refuted
+from bayes_aero.flight.health.channel import channel_health
+from bayes_aero.flight.health.kinematics import refuted
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import standard_air

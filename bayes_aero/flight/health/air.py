@@ -11,7 +11,7 @@ from scipy.ndimage import binary_closing, median_filter, uniform_filter1d
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.card_tables import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import (
+from bayes_aero.flight.health import (
     Findings,
     HealthFinding,
     channels_of,
@@ -22,7 +22,7 @@ from bayes_aero.flight.health.finding import (
     runs_of,
     shown,
 )
-from bayes_aero.flight.health.readings import AGREES, DENSITY0, THIN, View, thinness
+from bayes_aero.flight.health.kinematics import AGREES, DENSITY0, OFF, THIN, View, thinness
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import AIRCRAFT_UNITS, GAMMA, GAS, GRAVITY, standard_air
 from bayes_aero.units import instant, same_unit, to_si
@@ -144,7 +144,6 @@ def grounded(record: FlightRecord, card: Card) -> list[tuple[int, int]]:
 # factor.
 
 NEAR = 0.06  # of a factor, to that of two units, as a logarithm
-OFF = 0.10  # departure that no weather and no sensor makes, as a logarithm
 SPEEDS = ("m/s", "kt", "km/h", "ft/s", "mph")
 UNITS = {
     "static_pressure": ("Pa", "hPa", "kPa", "psi", "lbf/ft^2", "inHg"),

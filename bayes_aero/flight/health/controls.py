@@ -11,7 +11,7 @@ from scipy.linalg import solve_banded
 from scipy.optimize import fminbound
 
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import CONTROLS, Findings, declared, found, noise_alone, noise_of
+from bayes_aero.flight.health import CONTROLS, Findings, declared, found, noise_alone, noise_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import Axis
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.readers.base import (
+from bayes_aero.flight.readers import (
     MAX_VALUES,
     MOST_HEADINGS,
     MOST_VALUES_IN_ALL,
@@ -32,15 +32,13 @@ from bayes_aero.flight.readers.base import (
     SampleGroup,
     Series,
     foreign,
-    is_value,
     refuse_huge,
     several_rates,
     stated_unit,
     unpacked,
-    value_share,
     vector,
 )
-from bayes_aero.flight.readers.text import CELL, MOST_HEADER_ROWS, laid_out, text_table
+from bayes_aero.flight.readers.text import CELL, MOST_HEADER_ROWS, is_value, laid_out, text_table, value_share
 from bayes_aero.units import same_unit
 
 TIME_LIMIT, PER_MEGABYTE = 20.0, 2.0

@@ -13,7 +13,7 @@ from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, CausesInBand, Diagn
 from bayes_aero.diagnosis.trajectory_result import DiagnosisView, SimulatedManoeuvre, Trajectories, View
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io import documents as parts
 from bayes_aero.model.records import with_sums

@@ -16,7 +16,7 @@ from msgspec.structs import fields
 
 from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
 from bayes_aero.diagnosis.selection import CancellingPair
-from bayes_aero.flight.health.finding import Consistency, Departure, HealthFinding
+from bayes_aero.flight.health import Consistency, Departure, HealthFinding
 from bayes_aero.inference.scores import Share as InsideShare
 
 Number = float | None

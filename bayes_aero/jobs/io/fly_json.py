@@ -11,7 +11,7 @@ from msgspec import UNSET
 
 from bayes_aero.diagnosis.trajectory_result import Disagreement, Motion, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import Posterior
 from bayes_aero.jobs.io import documents as parts

@@ -11,8 +11,8 @@ from bayes_aero.diagnosis.candidate_set import too_short
 from bayes_aero.diagnosis.consistency import KnownErrors, consistency
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health import channel_health
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, HealthFinding
+from bayes_aero.flight.health.channel import channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import despiked_records, with_sums

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayes_aero.flight.health.finding import only_following
+from bayes_aero.flight.health import only_following
 from bayes_aero.inference.results import GPReport, Identification, Validation
 from bayes_aero.inference.scores import Scores, interval_coverage, score
 from bayes_aero.model.noise import Colour
