@@ -122,6 +122,20 @@ STANDARD_CHANNELS: dict[str, StandardChannel] = {
     name: StandardChannel(name, unit, description, (lo, hi)) for name, unit, description, lo, hi in _TABLE
 }
 
+UNITS: dict[str, tuple[str, ...]] = {
+    "rad": ("deg", "rad"), "rad/s": ("deg/s", "rad/s"), "rad/s^2": ("deg/s^2", "rad/s^2"), "m": ("ft", "m"),
+    "m/s": ("kt", "km/h", "ft/s", "mph", "m/s"), "m/s^2": ("g", "ft/s^2", "m/s^2"), "K": ("degC", "K", "degF"),
+    "Pa": ("hPa", "Pa", "kPa", "inHg", "psi", "lbf/ft^2"), "1": ("%", "1"), "N": ("lbf", "N", "kN"),
+    "kg/m^3": ("g/m^3", "slug/ft^3", "kg/m^3", "lb/ft^3"), "kg": ("lb", "kg", "slug"), "m^2": ("ft^2", "m^2"),
+    "s": ("s", "ms", "us", "ns", "min"),
+}  # fmt: skip
+"""Units that files have a quantity in, by its SI unit."""
+
+
+def unit_choices(name: str) -> tuple[str, ...]:
+    """Units that files have a channel in."""
+    return UNITS.get(STANDARD_CHANNELS[name].unit, ()) if name in STANDARD_CHANNELS else ()
+
 
 # --- What people call channels and units in the headers of their files.
 

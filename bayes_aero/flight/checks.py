@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, StandardChannel
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, StandardChannel, unit_choices
 from bayes_aero.flight.health.channel import held_period
 from bayes_aero.flight.record import GAP, FlightRecord
 from bayes_aero.units import from_si, instant, number, same_unit, to_si
@@ -234,12 +234,6 @@ _LIMITS = ("32767", "32768", "65535", "1e10", "1e20", "1e30")
 FILLS = frozenset(float(sign + digits) for digits in (*_DIGITS, *_LIMITS) for sign in ("", "-"))
 """What recorders write where they have no value, in the file's unit."""
 
-UNITS: Mapping[str, tuple[str, ...]] = {
-    "rad": ("deg", "rad"), "rad/s": ("deg/s", "rad/s"), "rad/s^2": ("deg/s^2", "rad/s^2"),
-    "m/s": ("kt", "km/h", "ft/s", "mph", "m/s"), "m": ("ft", "m"), "m/s^2": ("g", "ft/s^2", "m/s^2"),
-    "K": ("degC", "K", "degF"), "Pa": ("hPa", "Pa", "kPa", "inHg", "psi", "lbf/ft^2"), "1": ("%", "1"),
-    "kg/m^3": ("g/m^3", "slug/ft^3", "kg/m^3"), "N": ("lbf", "N", "kN"), "kg": ("lb", "kg", "slug"),
-}  # fmt: skip
 WORDS = {
     "deg": "degrees", "rad": "radians", "deg/s": "degrees per second", "rad/s": "radians per second",
     "deg/s^2": "degrees per second squared", "kt": "knots", "ft": "feet", "m": "metres", "%": "per cent",
@@ -291,7 +285,7 @@ def _unit_hint(x: np.ndarray, known: StandardChannel, own: str) -> str:
     filed = from_si(x, own, known.name, known.unit)
     lo, hi = known.plausible
     fit = []
-    for unit in UNITS.get(known.unit, ()):
+    for unit in unit_choices(known.name):
         if same_unit(unit, own) is not False:
             continue
         values = to_si(filed, unit, known.name, known.unit)

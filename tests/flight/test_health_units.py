@@ -10,7 +10,7 @@ from flights import NOISE, UNITS, G, card, changed, flight, smooth
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.health.air import across, derivatives
+from bayes_aero.flight.health.air import air_data, derivatives
 from bayes_aero.flight.health.channel import channel_health
 from bayes_aero.flight.health.kinematics import refuted
 from bayes_aero.flight.reading import read_record
@@ -56,7 +56,7 @@ def test_the_standard_atmosphere_is_the_published_one():
 @pytest.mark.parametrize("altitude", [0.0, 4000.0, 9000.0])
 def test_air_of_any_weather_is_silent(altitude, warm):
     record = flight(1, altitude=altitude, seconds=30.0)
-    assert [*across(changed(record, **air(record, warm=warm)), card(**AIR))] == []
+    assert [*air_data(changed(record, **air(record, warm=warm)), card(**AIR))] == []
 
 
 @pytest.mark.parametrize(("name", "size", "unit"), [
@@ -81,18 +81,18 @@ def test_wrong_units_show_in_level_flight_and_in_the_density(sound):
     assert "density were in slug/ft^3 (the card says kg/m^3)" in told.sentence
     small = card(**AIR)
     small = replace(small, aircraft=replace(small.aircraft, mass=1500.0, wing_area=28.0 / FOOT**2))
-    told = [f for f in across(changed(sound, without=("altitude", "mach")), small) if f.fault == "load"]
+    told = [f for f in air_data(changed(sound, without=("altitude", "mach")), small) if f.fault == "load"]
     assert len(told) == 1
     assert "wing_area were in ft^2" in told[0].sentence
-    told = [f for f in across(changed(sound, altitude=sound["altitude"] / FOOT), card(**AIR)) if f.fault == "unit"]
+    told = [f for f in air_data(changed(sound, altitude=sound["altitude"] / FOOT), card(**AIR)) if f.fault == "unit"]
     assert [f.channel for f in told][:1] == ["altitude"]
     assert 'set unit = "ft" for altitude' in told[0].sentence
 
 
 def test_a_constant_or_derived_density_is_held_against_the_altitude(sound):
     record = changed(sound, without=("density", "dynamic_pressure", "mach"))
-    assert [*across(record, card(constants={"density": "0.82 kg/m^3"}))] == []
-    (told,) = across(record, card(constants={"density": "1.225 kg/m^3"}))  # sea level's, at 4 km
+    assert [*air_data(record, card(constants={"density": "0.82 kg/m^3"}))] == []
+    (told,) = air_data(record, card(constants={"density": "1.225 kg/m^3"}))  # sea level's, at 4 km
     assert (told.fault, told.channel, told.grave) == ("density", "density", True)
 
     def derived(record):
@@ -107,16 +107,16 @@ def test_a_constant_or_derived_density_is_held_against_the_altitude(sound):
 
 def test_airspeed_dynamic_pressure_and_mach_number_are_held_against_each_other(sound):
     record = changed(sound, airspeed=sound["airspeed"] * np.sqrt(sound["density"] / 1.225))
-    assert ("airspeed_kind", "airspeed") in [(f.fault, f.channel) for f in across(record, card(**AIR))]
+    assert ("airspeed_kind", "airspeed") in [(f.fault, f.channel) for f in air_data(record, card(**AIR))]
     M = 0.85
     fast = changed(sound, airspeed=sound["airspeed"] * (M / sound["mach"]), mach=np.full(sound.n, M))
     q = 0.5 * fast["density"] * fast["airspeed"] ** 2
     impact = fast["dynamic_pressure"] * 0.0 + 0.7**-1 * q / M**2 * ((1.0 + 0.2 * M**2) ** 3.5 - 1.0)
-    told = [*across(changed(fast, dynamic_pressure=impact), card(**AIR))]
+    told = [*air_data(changed(fast, dynamic_pressure=impact), card(**AIR))]
     assert [(f.channel, f.grave) for f in told] == [("dynamic_pressure", False)]
     assert "impact pressure" in told[0].sentence
-    assert [*across(changed(fast, dynamic_pressure=q), card(**AIR))] == []
-    (told,) = across(changed(sound, without=("density", "dynamic_pressure"), airspeed=sound["airspeed"] / KNOT),
+    assert [*air_data(changed(fast, dynamic_pressure=q), card(**AIR))] == []
+    (told,) = air_data(changed(sound, without=("density", "dynamic_pressure"), airspeed=sound["airspeed"] / KNOT),
                      card(**AIR))  # fmt: skip
     assert (told.channel, told.fault, told.grave) == ("airspeed", "unit", True)
     assert 'unit = "kt"' in told.sentence
@@ -126,7 +126,7 @@ def test_airspeed_dynamic_pressure_and_mach_number_are_held_against_each_other(s
 def test_an_airspeed_is_calibrated_where_its_ratio_is_that_of_calibrated_airspeed(sound, off, kind):
     """The root of the density ratio is 0.813 at 4000 m: 0.858 is 5.5 % off. Without a name, the factor is reported."""
     ratio = off * np.sqrt(sound["density"] / 1.225)
-    found = [*across(changed(sound, airspeed=sound["airspeed"] * ratio, without=("mach",)), card(**AIR))]
+    found = [*air_data(changed(sound, airspeed=sound["airspeed"] * ratio, without=("mach",)), card(**AIR))]
     assert {f.fault for f in found if f.fault != "load"} == {"airspeed_kind" if kind else "factor"}
 
 
@@ -168,7 +168,7 @@ def book(name, **changes):
     channels = tuple(Channel(key, unit, None, column) for key, (column, unit) in places.items())
     record = read_record(BOOK / name, channels)
     ours = replace(card(), channels=channels)
-    return [*across(record, ours), *derivatives(record, ours)]
+    return [*air_data(record, ours), *derivatives(record, ours)]
 
 
 @needs_book

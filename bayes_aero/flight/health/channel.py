@@ -28,9 +28,9 @@ from bayes_aero.flight.health import (
     span,
     still_runs,
 )
-from bayes_aero.flight.health.air import across, air_data, derivatives, in_flight, on_ground
+from bayes_aero.flight.health.air import air_data, derivatives, in_flight, on_ground
 from bayes_aero.flight.health.controls import TURNS, answers_no_input, answers_unmoved, control_responses, feedback
-from bayes_aero.flight.health.kinematics import RELATIONS, dead_heading, refuted, view_of
+from bayes_aero.flight.health.kinematics import dead_heading, rates_of, refuted, view_of
 from bayes_aero.flight.record import FlightRecord
 
 OFF = 8.0  # deviations of the noise, and sizes of the usual step, that a dropout is away from its neighbours
@@ -122,6 +122,7 @@ RATES = {"q": ("theta", 0.015), "p": ("phi", 0.03), "r": ("psi", 0.03)}
 def frozen(record: FlightRecord, card: Card) -> Findings:
     """A finding for each channel with a stretch in which it does not move though it must."""
     view = view_of(record, card)
+    rates = rates_of(view)
     for name, x in record.channels.items():
         if name == "psi" and all(map(record.has, ("theta", "phi", "q", "r"))) and dead_heading(view):
             sentence = (
@@ -142,7 +143,7 @@ def frozen(record: FlightRecord, card: Card) -> Findings:
         if name in CONTROLS:
             stretches = _frozen_control(record, name, x)
         else:
-            stretches = [run for run in still_runs(x) if _frozen(record, view, name, x, run) and not _cut_off(x, run)]
+            stretches = [run for run in still_runs(x) if _frozen(record, rates, name, x, run) and not _cut_off(x, run)]
         if not stretches:
             continue
         first, last = max(stretches, key=lambda run: run[1] - run[0])
@@ -197,7 +198,7 @@ def _longest_by_chance(share: float, n: int) -> float:
     return max(float(np.log(n)) / -float(np.log(max(share, 1e-3))), 1.0) if share < 1.0 else np.inf
 
 
-def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.ndarray, run: tuple[int, int]) -> bool:
+def _frozen(record: FlightRecord, rates: dict[str, np.ndarray], name: str, x: np.ndarray, run: tuple[int, int]) -> bool:
     first, last = run
     length = last - first + 1
     if length * record.dt < SHORTEST or length < 5:
@@ -212,9 +213,9 @@ def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.
         turned = record[angle][first : last + 1]
         line = np.linspace(turned[0], turned[-1], len(turned))
         moved = np.inf if float(np.ptp(turned - line)) > enough else None
-    elif name in RELATIONS and all(need in view for need in RELATIONS[name].needs):
-        rate = RELATIONS[name].rate(view)
-        bias = np.median(rate - np.gradient(view[name], view["time"])) if name in ("alpha", "beta") else 0.0
+    elif name in rates and np.isfinite(rates[name]).all():
+        rate = rates[name]
+        bias = np.median(rate - np.gradient(x, record.time)) if name in ("alpha", "beta") else 0.0
         moved = float(np.ptp(np.cumsum(rate[first : last + 1] - bias) * record.dt))
     if moved is not None:  # by so much as the other channels say
         return moved > max(4.0 * level_step(x), 5.0 * noise_of(x), MOVED.get(name, 0.0))
@@ -514,7 +515,7 @@ def jumps(x: np.ndarray) -> tuple[np.ndarray, float]:
 # --- Every check of a record.
 
 _CHECKS: tuple[Callable[[FlightRecord, Card], Iterable[HealthFinding]], ...] = (
-    air_data, across, derivatives, dropouts, frozen, held, saturated, quantised, wrapped, short, idle, decided,
+    air_data, derivatives, dropouts, frozen, held, saturated, quantised, wrapped, short, idle, decided,
 )  # fmt: skip
 
 

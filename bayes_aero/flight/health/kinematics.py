@@ -1,29 +1,162 @@
-"""Other ways to read a channel - sign, unit, gravity, kind of airspeed - that the kinematics are tried with."""
+"""Rigid-body kinematics between recorded channels, and the signs, axes, units and gravity that they refute."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
 from scipy.optimize import fminbound
 
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import unit_choices
 from bayes_aero.flight.health import Findings, HealthFinding, channels_of, declared, found, other_units
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import GRAVITY, Axis, standard_air
+from bayes_aero.physics.kinematics import (
+    PATH_NEEDS,
+    STRAIGHT,
+    down_of,
+    euler_rates,
+    motion_in_plane,
+    sideslip_rate,
+)
 
-_ANGLE, _RATE, _FORCE = ("deg", "rad"), ("deg/s", "rad/s"), ("m/s^2", "g", "ft/s^2")
-UNITS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("phi", "theta", "psi", "alpha", "beta"), _ANGLE), **dict.fromkeys(("p", "q", "r"), _RATE),
-    **dict.fromkeys(("ax", "ay", "az"), _FORCE), "airspeed": ("m/s", "kt", "km/h", "ft/s", "mph"),
-    "altitude": ("m", "ft"), "time": ("s", "ms", "us", "ns", "min"),
-}  # fmt: skip
-GROUPS = (("p", "q", "r"), ("ax", "ay", "az"), ("phi", "theta", "psi"), ("alpha", "beta"))
+# --- What each channel's rate of change must be (`physics.kinematics`), without aerodynamics; the distance of the
+# accelerometer from the centre of gravity is neglected, and the wind is steady.
+
+View = Mapping[str, np.ndarray]
+Misfits = dict[str, float]
+LINEAR = ("p", "q", "r", "ax", "ay", "az", "x", "y", "z")
+"""What the rates of change are linear in: rates, specific force, and the components of gravity along the body axes."""
+
+
+class Relation(NamedTuple):
+    """Channels that must be recorded; misfit, SI, that sound records stay below after a constant and a drift are taken
+    out, in pieces of `piece` s where errors of the rate add up too fast for the whole record."""
+
+    needs: tuple[str, ...]
+    allowed: float
+    piece: float = np.inf
+
+
+_AIR = ("airspeed", "alpha", "theta", "ax", "az")
+RELATIONS: dict[str, Relation] = {
+    "theta": Relation(("theta", "q"), np.deg2rad(1.0)),
+    "phi": Relation(("phi", "p", "q", "theta"), np.deg2rad(2.0)),
+    "psi": Relation(("psi", "q", "r", "theta"), np.deg2rad(3.0)),
+    "altitude": Relation(("altitude", "airspeed", "theta", "alpha"), 6.0),
+    "airspeed": Relation(_AIR, 2.0),
+    "alpha": Relation((*_AIR, "q"), np.deg2rad(1.0), 10.0),
+    "beta": Relation(("beta", "r", "ay", "phi", *_AIR), np.deg2rad(1.5), 10.0),
+}
+MEANS = {
+    "level": Relation((*_AIR, "q"), 1.5),  # m/s2: a bias of .5 deg/s at 100 m/s and one of .6 m/s2
+    "side": Relation(("ay", "r", "phi", *_AIR), 0.9),  # .3 deg/s at 100 m/s and .4 m/s2, or 2.5 deg of the bank angle
+}
+"""The mean normal and lateral acceleration, which the rate of alpha and of beta times the airspeed must make."""
+SHORTEST = 25  # samples of a piece
+TURN, FOLLOWS = np.deg2rad(3.0), 0.2
+"""rad that the rates must turn the aircraft by, and the share of it within which a heading stands still."""
+SIDESLIP = 0.1  # rad that sideslip may have changed by where it was not recorded
+SCALE = 0.3  # error of scale that a sensor in the right unit may have; our choice
+
+
+def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
+    """Channels, constants and time of a record, with zeros for what symmetric flight lacks."""
+    return dict.fromkeys(STRAIGHT, np.zeros(record.n)) | channels_of(record, card) | {"time": record.time}
+
+
+def rates_of(view: View, only: str | None = None) -> dict[str, np.ndarray]:
+    """Rate of change of each channel, (n,), not a number where it lacks what it needs; `only` the part due to one of
+    `LINEAR`."""
+    n = len(view["time"])
+    v = {name: view.get(name, np.full(n, np.nan)) for name in PATH_NEEDS}
+    inputs = v | dict(zip("xyz", down_of(v["phi"], v["theta"]), strict=True))
+    part = {name: inputs[name] if only in (None, name) else np.zeros(n) for name in LINEAR}
+    (p, q, r), force, down = (tuple(part[name] for name in LINEAR[k : k + 3]) for k in (0, 3, 6))
+    with np.errstate(all="ignore"):
+        angles = zip(("phi", "theta", "psi"), euler_rates((p, q, r), v["phi"], v["theta"]), strict=True)
+        v |= part
+        return motion_in_plane(v, force, down) | {"beta": sideslip_rate(v, force, down)} | dict(angles)
+
+
+def dead_heading(view: View) -> bool:
+    """Whether the heading stands still while the rates turn the aircraft; `time`, phi, theta, q, r and psi are read."""
+    turn = integrated(rates_of(view)["psi"], view["time"])
+    return bool(np.ptp(turn) > TURN and np.ptp(view["psi"]) < FOLLOWS * np.ptp(turn))
+
+
+def misfits(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> Misfits:
+    """How far each relation (or those of `names`) is from what is allowed: 1 is the limit. Relations that lack a
+    channel are left out."""
+    off = {name: terms.sum(0) for name, terms in terms_of(view, recorded, names, (None,)).items()}
+    sizes = {name: float(np.sqrt(np.mean(np.minimum(np.abs(x), 1e9) ** 2))) for name, x in off.items()}
+    return {name: sizes[name] if np.isfinite(x).all() else np.inf for name, x in off.items()}
+
+
+def terms_of(
+    view: View,
+    recorded: frozenset[str],
+    names: frozenset[str] | None = None,
+    parts: Sequence[str | None] = LINEAR,
+) -> dict[str, np.ndarray]:
+    """What the terms (k, n) of each relation leave when they are added, over what is allowed: the channel, and what
+    each of `parts` makes of its rate."""
+    rates, time, terms = [rates_of(view, part) for part in parts], view["time"], {}
+    with np.errstate(all="ignore"):
+        for name, relation in (RELATIONS | MEANS).items():
+            if not set(relation.needs) <= recorded or (names is not None and name not in names):
+                continue
+            if name in MEANS:
+                terms[name] = _mean_terms(name, view, recorded, rates)
+                continue
+            pieces = min(max(round((time[-1] - time[0]) / relation.piece), 1), len(time) // SHORTEST)
+            each = [view[name], *(-integrated(rate[name], time) for rate in rates)]
+            left = (np.concatenate([*map(without_drift, np.array_split(x, pieces))]) for x in each)
+            terms[name] = np.stack([*left]) / relation.allowed
+    return terms
+
+
+def _mean_terms(name: str, view: View, recorded: frozenset[str], rates: Sequence[View]) -> np.ndarray:
+    """Mean accelerations (k, 1) that each part makes, and what the flow turns by, over what is allowed."""
+    V, time, channel = view["airspeed"], view["time"], "alpha" if name == "level" else "beta"
+    terms = [np.mean(V * rate[channel]) for rate in rates]
+    if channel in recorded:
+        x = view[channel]
+        terms.append(-np.mean(V) * float(np.median(x[-9:]) - np.median(x[:9])) / float(time[-1] - time[0]))
+    elif np.mean(V) * SIDESLIP >= MEANS["side"].allowed / 3.0 * float(time[-1] - time[0]):
+        return np.zeros((1, 1))
+    return np.array(terms)[:, None] / MEANS[name].allowed
+
+
+def side_bias(view: View, recorded: frozenset[str]) -> float:
+    """Mean lateral acceleration beyond what bank, turn and sideslip make, m/s2; zero where sideslip leaves it open."""
+    return MEANS["side"].allowed * float(_mean_terms("side", view, recorded, [rates_of(view)]).sum())
+
+
+def integrated(rate: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """The integral of a (n,) rate over time, by the trapezium rule, zero at first."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (rate[:-1] + rate[1:]))])
+
+
+def without_drift(x: np.ndarray) -> np.ndarray:
+    """Less its best straight line: an unknown initial value, and a bias of the rate or steady vertical wind."""
+    t = np.linspace(-1.0, 1.0, len(x))
+    return x - x.mean() - t * float(t @ x) / float(t @ t)
+
+
+# --- Other ways to read a channel - sign, unit, gravity, kind of airspeed - that the kinematics are tried with.
+
+INSTRUMENTS = {"accelerations": ("ax", "ay", "az"), "rates": ("p", "q", "r")}
+ATTITUDE, FLOW = ("phi", "theta", "psi"), ("alpha", "beta")
+GROUPS = (*INSTRUMENTS.values(), ATTITUDE, FLOW)
 """Channels of one instrument, which share their unit."""
-SIGNS = ("p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "ax", "ay", "az", "altitude")
+SINGLE = (*ATTITUDE, *FLOW, "p", "q", "r", "ax", "ay", "az", "airspeed", "altitude", "time")
+SIGNS = ("p", "q", "r", *ATTITUDE, *FLOW, "ax", "ay", "az", "altitude")
 ONE_G = 0.5  # logarithm of the median load factor within which accelerations are in their unit: 0.6 to 1.65
 DENSITY0 = 1.225  # kg/m3
 AGREES = 0.0513  # logarithm of 5 %: two standard deviations of an airspeed, 2 %, and of its reference, 1.5 %; assumed
@@ -49,8 +182,6 @@ class Reading:
 
 
 AXES = (("forward", "aft"), ("right", "left"), ("down", "up"))
-INSTRUMENTS = {"accelerations": ("ax", "ay", "az"), "rates": ("p", "q", "r")}
-ATTITUDE, FLOW = ("phi", "theta", "psi"), ("alpha", "beta")
 ANGLES = tuple(
     frozenset((*attitude, *flow))
     for flow in ((), FLOW)
@@ -62,34 +193,13 @@ EVIDENT = 4  # channels that count the other way together, from which axes are l
 ALL = 3  # such channels, where the sensors recorded no more: a longitudinal record's ax, az and q
 Moves = Mapping[str, tuple[str, int]]
 """The channel and sign that each is to be read from, of those for which that is not itself."""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Axes of a file: the program's axis i is `signs[i]` times the file's axis `order[i]`."""
-
-    order: tuple[int, ...]
-    signs: tuple[int, ...]
-
-    @property
-    def name(self) -> str:
-        """Where the file's axes point: "x forward, y left, z up"."""
-        points = {j: AXES[i][sign < 0] for i, (j, sign) in enumerate(zip(self.order, self.signs, strict=True))}
-        return ", ".join(f"{axis} {points[j]}" for j, axis in enumerate("xyz"))
-
-    def moves(self, names: tuple[str, ...], recorded: frozenset[str]) -> Moves:
-        """How an instrument's channels are to be read."""
-        pairs = zip(names, self.order, self.signs, strict=True)
-        return {n: (names[j], sign) for n, j, sign in pairs if n in recorded and (names[j], sign) != (n, 1)}
-
-
 FRAMES = tuple(
-    Frame(order, signs)
+    (order, signs)
     for order in permutations(range(3))
     for signs in product((1, -1), repeat=3)
     if np.linalg.det(np.eye(3)[list(order)]) * np.prod(signs) > 0.0
 )
-"""All right-handed axes."""
+"""All right-handed axes of a file: the program's axis i is `signs[i]` times the file's axis `order[i]`."""
 
 
 def orders(kind: str, recorded: frozenset[str]) -> Iterator[dict[str, str]]:
@@ -100,19 +210,25 @@ def orders(kind: str, recorded: frozenset[str]) -> Iterator[dict[str, str]]:
 
 
 def axes_of(moves: Moves, recorded: frozenset[str]) -> tuple[str, int]:
-    """The axes of both instruments or one that explain most of the moves, in words, and how many channels are to be
-    read otherwise than these axes say."""
-    have = {kind: tuple(n for n in names if n in recorded) for kind, names in INSTRUMENTS.items()}
-    kinds = tuple(kind for kind, names in have.items() if names)
+    """The axes of both instruments or one that explain most of the moves, in words ("x forward, y left, z up"), and how
+    many channels are to be read otherwise than these axes say."""
+    kinds = tuple(kind for kind, names in INSTRUMENTS.items() if recorded & {*names})
     angles = {n for n in moves if n in (*ATTITUDE, *FLOW)}
     more = min(len(angles ^ (turned & recorded)) for turned in ANGLES)
     best = ("", len(moves) + 1)
     for of in dict.fromkeys([kinds, *((kind,) for kind in kinds)]):
-        for frame in FRAMES:
-            by_frame = {n: move for kind in of for n, move in frame.moves(INSTRUMENTS[kind], recorded).items()}
-            rest = more + sum(by_frame.get(n) != moves.get(n) for kind in kinds for n in have[kind])
+        for order, signs in FRAMES:
+            sources = {}
+            for kind in of:
+                names = INSTRUMENTS[kind]
+                sources |= {n: (names[j], sign) for n, j, sign in zip(names, order, signs, strict=True)}
+            by_frame = {n: x for n, x in sources.items() if n in recorded and x != (n, 1)}
+            have = (n for kind in kinds for n in INSTRUMENTS[kind] if n in recorded)
+            rest = more + sum(by_frame.get(n) != moves.get(n) for n in have)
             if by_frame and rest < best[1]:
-                best = (f"the axes of the {' '.join(of) if len(of) == 1 else 'sensors'} are {frame.name}", rest)
+                points = {j: AXES[i][sign < 0] for i, (j, sign) in enumerate(zip(order, signs, strict=True))}
+                named = ", ".join(f"{axis} {points[j]}" for j, axis in enumerate("xyz"))
+                best = (f"the axes of the {of[0] if len(of) == 1 else 'sensors'} are {named}", rest)
     return best
 
 
@@ -131,18 +247,17 @@ def moved(card: Card, recorded: frozenset[str], moves: Moves) -> Reading:
     write = " and ".join(f"sign = {sign} at {', '.join(names)}" for sign, names in signs.items())
     place = "give each the label, column and unit of the other, and " if exchanged else ""
     count = f"count{'s' if len(moves) == 1 else ''} the other way"
-    fault = "axes" if evident else "exchanged" if exchanged else "sign"
     if evident:
         turned = turned and f"{turned} {count}"
-        subject, looks = axes, f"({'; '.join(x for x in (turned, exchanged and f'{exchanged} of the card') if x)})"
+        fault, looks = "axes", f"({'; '.join(x for x in (turned, exchanged and f'{exchanged} of the card') if x)})"
     else:
-        subject = ", ".join(moves)
-        looks = "are exchanged" if exchanged else count
+        fault, looks = ("exchanged", "are exchanged") if exchanged else ("sign", count)
         looks += f" (as where {axes})" if axes else ""
         looks += f" ({exchanged} of the card{f'; {turned} {count}' if turned else ''})" if exchanged else ""
     return Reading(
         tuple(moves), fault, looks, f"{place}write {write} on the card",
-        lambda view: {name: sign * view[source] for name, (source, sign) in moves.items()}, subject,
+        lambda view: {name: sign * view[source] for name, (source, sign) in moves.items()},
+        axes if evident else ", ".join(moves),
     )  # fmt: skip
 
 
@@ -152,7 +267,7 @@ def readings(view: View, card: Card, recorded: frozenset[str]) -> Iterator[Readi
         if name in recorded:
             sign = -declared(card, name).sign
             yield scaled((name,), -1.0, "sign", "counts the other way", f"write sign = {sign} at {name} on the card")
-    for group in [(name,) for name in UNITS] + [tuple(n for n in group if n in recorded) for group in GROUPS]:
+    for group in [(name,) for name in SINGLE] + [tuple(n for n in group if n in recorded) for group in GROUPS]:
         if group and set(group) <= recorded:
             yield from _units(group, card, view)
     if "theta" in recorded:
@@ -162,8 +277,9 @@ def readings(view: View, card: Card, recorded: frozenset[str]) -> Iterator[Readi
         times = float(1.0 / np.median(ratio))
         looks = f"is calibrated (or indicated) airspeed: true airspeed is {times:.3g} times as large at this density"
         mend = "divide it by the square root of density over 1.225 kg/m^3 in the file, or map the true airspeed"
-        calibrated = Reading(("airspeed",), "airspeed_kind", looks, mend, lambda v: {"airspeed": v["airspeed"] / ratio})
-        yield replace(calibrated, factor=times)
+        yield Reading(
+            ("airspeed",), "airspeed_kind", looks, mend, lambda v: {"airspeed": v["airspeed"] / ratio}, factor=times
+        )
 
 
 def scaled(names: tuple[str, ...], factor: float, fault: str, looks: str, mend: str) -> Reading:
@@ -177,37 +293,35 @@ def _units(group: tuple[str, ...], card: Card, view: View) -> Iterator[Reading]:
         return
     if "az" in group and abs(np.log(max(float(np.median(np.abs(view["az"]))), 1e-9) / GRAVITY)) < ONE_G:
         return  # the unit explains the load factor of flight, and no other one does
-    for unit, factor in other_units(card, group[0], UNITS[group[0]]):
-        if abs(np.log(factor)) < 0.1:
-            continue
-        are = "is" if len(group) == 1 else "are"
-        looks = f"{are} in {unit} and not in {of[group[0]]}, as the card says"
-        mend = f'set unit = "{unit}" for {"it" if len(group) == 1 else "them"} on the card'
-        yield replace(scaled(group, factor, "unit", looks, mend), factor=factor)
+    are, them = ("is", "it") if len(group) == 1 else ("are", "them")
+    for unit, factor in other_units(card, group[0], unit_choices(group[0])):
+        if abs(np.log(factor)) >= 0.1:
+            looks = f"{are} in {unit} and not in {of[group[0]]}, as the card says"
+            mend = f'set unit = "{unit}" for {them} on the card'
+            yield replace(scaled(group, factor, "unit", looks, mend), factor=factor)
 
 
 def _gravity(card: Card, recorded: frozenset[str]) -> Iterator[Reading]:
     """Accelerations that inertial units give out: without gravity, one, some or all; the load factor less one."""
     have = tuple(n for n in ("ax", "ay", "az") if n in recorded)
-    back = {
-        "ax": ("ax + g sin(theta)", lambda v: GRAVITY * np.sin(v["theta"])),
-        "ay": ("ay - g cos(theta) sin(phi)", lambda v: -GRAVITY * np.cos(v["theta"]) * np.sin(v["phi"])),
-        "az": ("az - g cos(theta) cos(phi)", lambda v: -GRAVITY * np.cos(v["theta"]) * np.cos(v["phi"])),
-    }
+    back = {"ax": "ax + g sin(theta)", "ay": "ay - g cos(theta) sin(phi)", "az": "az - g cos(theta) cos(phi)"}
 
     def put_back(names: tuple[str, ...], factor: float) -> Callable[[View], dict[str, np.ndarray]]:
-        return lambda v: {n: factor * v[n] + back[n][1](v) for n in names}
+        def applied(v: View) -> dict[str, np.ndarray]:
+            down = dict(zip(back, down_of(v["phi"], v["theta"]), strict=True))
+            return {n: factor * v[n] - GRAVITY * down[n] for n in names}
+
+        return applied
 
     for names in dict.fromkeys([*((n,) for n in have), have]):
         for factor, unit in ((1.0, ""), (GRAVITY, ", and in multiples of g")):
             has = "has" if len(names) == 1 else "have"
             looks = f"{has} no part of gravity (acceleration, not specific force{unit})"
-            mend = f"write {', '.join(back[n][0] for n in names)} into the file"
+            mend = f"write {', '.join(back[n] for n in names)} into the file"
             yield Reading(names, "gravity", looks, mend, put_back(names, factor))
-    if "az" in have:
-        for names in dict.fromkeys([("az",), have]):
-            for sign, factor in product((1.0, -1.0), (1.0, GRAVITY)):
-                yield _less_one(names, sign, factor, card)
+    for names in dict.fromkeys([("az",), have]) if "az" in have else ():
+        for sign, factor in product((1.0, -1.0), (1.0, GRAVITY)):
+            yield _less_one(names, sign, factor, card)
 
 
 def _less_one(names: tuple[str, ...], sign: float, factor: float, card: Card) -> Reading:
@@ -230,185 +344,10 @@ def thinness(view: View, recorded: frozenset[str]) -> np.ndarray | None:
     """Equivalent over true airspeed, (n,), from density, else from a standard atmosphere at the altitude."""
     if "density" in recorded and np.median(view["density"]) > 0.0:
         return np.sqrt(np.maximum(view["density"], 1e-3) / DENSITY0)
-    if "altitude" in recorded:
-        return np.sqrt(standard_air(view["altitude"])[0] / DENSITY0)
-    return None
+    return np.sqrt(standard_air(view["altitude"])[0] / DENSITY0) if "altitude" in recorded else None
 
 
-# --- Rigid-body kinematics between recorded channels: what each one's rate of change must be, without aerodynamics.
-# Body axes, specific force at the accelerometer (its distance from the centre of gravity is neglected), the wind
-# steady:
-# theta' = q cos phi - r sin phi phi' = p + tan theta (q sin phi + r cos phi) psi' = (q sin phi + r cos phi)/cos
-# theta h' = V (cos a cos b sin theta - sin b sin phi cos theta - sin a cos b cos phi cos theta) V' = gx cos a cos b
-# + gy sin b + gz sin a cos b alpha' = q - tan b (p cos a + r sin a) + (gz cos a - gx sin a)/(V cos b) beta' = p sin
-# a - r cos a + (gy cos b - (gx cos a + gz sin a) sin b)/V
-# with gx = ax - g sin theta, gy = ay + g cos theta sin phi, gz = az + g cos theta cos phi. Source: B. L. Stevens, F.
-# L. Lewis, E. N. Johnson, *Aircraft Control and Simulation*, 3rd ed., Wiley 2016, chapters 1 and 2.
-
-View = Mapping[str, np.ndarray]
-ZERO_IF_MISSING = ("phi", "beta", "p", "r", "ay")  # of symmetric flight
-
-
-@dataclass(frozen=True)
-class Relation:
-    """How one channel must change: by the sum of `terms`, which read `needs`, which must be recorded, and
-    `ZERO_IF_MISSING`. `allowed` is the misfit, SI, that sound records stay below after a constant and a drift are taken
-    out; in pieces of `piece` s where errors of the rate add up too fast for the whole record."""
-
-    channel: str
-    needs: tuple[str, ...]
-    terms: Callable[[View], tuple[np.ndarray, ...]]
-    allowed: float
-    piece: float | None = None
-
-    def rate(self, view: View) -> np.ndarray:
-        """Rate of change of the channel, (n,)."""
-        return np.sum(self.terms(view), axis=0)
-
-    def changes(self, view: View) -> list[np.ndarray]:
-        """The channel and the integral of each term of its rate, less, over what is allowed, without drift."""
-        time = view["time"]
-        each = [view[self.channel], *(-integrated(term, time) for term in self.terms(view))]
-        pieces = 1 if self.piece is None else round((time[-1] - time[0]) / self.piece)
-        pieces = min(max(pieces, 1), len(time) // SHORTEST)
-        parts = ([without_drift(part) for part in np.array_split(x, pieces)] for x in each)
-        return [np.concatenate(part) / self.allowed for part in parts]
-
-
-def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
-    """Channels, constants and time of a record, with zeros for what symmetric flight lacks."""
-    channels = channels_of(record, card)
-    filled = {name: np.zeros(record.n) for name in ZERO_IF_MISSING if name not in channels}
-    return {**filled, **channels, "time": record.time}
-
-
-def _turning(v: View) -> tuple[np.ndarray, ...]:
-    return v["q"] * np.sin(v["phi"]), v["r"] * np.cos(v["phi"])
-
-
-def dead_heading(v: View) -> bool:
-    """Whether the heading stands still while the rates turn the aircraft; `time`, phi, theta, q, r and psi are read."""
-    turn = integrated(RELATIONS["psi"].rate(v), v["time"])
-    return bool(np.ptp(turn) > TURN and np.ptp(v["psi"]) < FOLLOWS * np.ptp(turn))
-
-
-def climb(v: View) -> tuple[np.ndarray, ...]:
-    a, b, theta, phi, V = v["alpha"], v["beta"], v["theta"], v["phi"], v["airspeed"]
-    return (
-        V * np.cos(a) * np.cos(b) * np.sin(theta),
-        -V * np.sin(b) * np.sin(phi) * np.cos(theta),
-        -V * np.sin(a) * np.cos(b) * np.cos(phi) * np.cos(theta),
-    )
-
-
-def _along(v: View, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Specific force and gravity, m/s2, along a direction with these components on the body axes."""
-    sin, cos = np.sin(v["theta"]), np.cos(v["theta"])
-    down = (-GRAVITY * sin, GRAVITY * cos * np.sin(v["phi"]), GRAVITY * cos * np.cos(v["phi"]))
-    forces = zip((v["ax"], v["ay"], v["az"]), down, (x, y, z), strict=True)
-    return tuple(part * c for force, gravity, c in forces for part in (force, gravity))
-
-
-def acceleration(v: View) -> tuple[np.ndarray, ...]:
-    a, b = v["alpha"], v["beta"]
-    return _along(v, np.cos(a) * np.cos(b), np.sin(b), np.sin(a) * np.cos(b))
-
-
-def alpha_rate(v: View) -> tuple[np.ndarray, ...]:
-    a, b = v["alpha"], v["beta"]
-    V = v["airspeed"] * np.cos(b)
-    turned = (v["q"], -np.tan(b) * v["p"] * np.cos(a), -np.tan(b) * v["r"] * np.sin(a))
-    return *turned, *_along(v, -np.sin(a) / V, 0.0 * a, np.cos(a) / V)
-
-
-def beta_rate(v: View) -> tuple[np.ndarray, ...]:
-    a, b, V = v["alpha"], v["beta"], v["airspeed"]
-    across = _along(v, -np.cos(a) * np.sin(b) / V, np.cos(b) / V, -np.sin(a) * np.sin(b) / V)
-    return v["p"] * np.sin(a), -v["r"] * np.cos(a), *across
-
-
-_AIR = ("airspeed", "alpha", "theta", "ax", "az")
-RELATIONS: dict[str, Relation] = {
-    r.channel: r
-    for r in (
-        Relation(
-            "theta", ("theta", "q"), lambda v: (v["q"] * np.cos(v["phi"]), -v["r"] * np.sin(v["phi"])), np.deg2rad(1.0)
-        ),
-        Relation(
-            "phi", ("phi", "p", "q", "theta"), lambda v: (v["p"], *(np.tan(v["theta"]) * x for x in _turning(v))),
-            np.deg2rad(2.0),
-        ),
-        Relation(
-            "psi", ("psi", "q", "r", "theta"), lambda v: tuple(x / np.cos(v["theta"]) for x in _turning(v)),
-            np.deg2rad(3.0),
-        ),
-        Relation("altitude", ("altitude", "airspeed", "theta", "alpha"), climb, 6.0),
-        Relation("airspeed", _AIR, acceleration, 2.0),
-        Relation("alpha", (*_AIR, "q"), alpha_rate, np.deg2rad(1.0), 10.0),
-        Relation("beta", ("beta", "r", "ay", "phi", *_AIR), beta_rate, np.deg2rad(1.5), 10.0),
-    )
-}  # fmt: skip
-SHORTEST = 25  # samples of a piece
-TURN, FOLLOWS = np.deg2rad(3.0), 0.2
-"""rad that the rates must turn the aircraft by, and the share of it within which a heading stands still."""
-LEVEL = 1.5  # m/s2 that the mean normal acceleration may be off: a bias of .5 deg/s at 100 m/s and one of .6 m/s2
-SIDE = 0.9  # the same of the mean lateral acceleration: .3 deg/s at 100 m/s and .4 m/s2, or 2.5 deg of the bank angle
-SIDESLIP = 0.1  # rad that sideslip may have changed by where it was not recorded
-MEANS = {"level": LEVEL, "side": SIDE}
-_MEAN_NEEDS = {"level": RELATIONS["alpha"].needs, "side": ("ay", "r", "phi", *RELATIONS["airspeed"].needs)}
-SCALE = 0.3  # error of scale that a sensor in the right unit may have; our choice
-
-
-def misfits(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> dict[str, float]:
-    """How far each relation (or those of `names`) is from what is allowed: 1 is the limit. Relations that lack a
-    channel are left out."""
-    off = {name: terms.sum(0) for name, terms in terms_of(view, recorded, names).items()}
-    sizes = {name: float(np.sqrt(np.mean(np.minimum(np.abs(x), 1e9) ** 2))) for name, x in off.items()}
-    return {name: sizes[name] if np.isfinite(x).all() else np.inf for name, x in off.items()}
-
-
-def terms_of(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> dict[str, np.ndarray]:
-    """What the terms (k, n) of each relation leave when they are added, over what is allowed."""
-    terms_by_relation = {}
-    with np.errstate(all="ignore"):
-        for name, needs in {**{name: r.needs for name, r in RELATIONS.items()}, **_MEAN_NEEDS}.items():
-            if set(needs) <= recorded and (names is None or name in names):
-                mean = name in _MEAN_NEEDS
-                terms = _mean_terms(name, view, recorded) if mean else RELATIONS[name].changes(view)
-                terms_by_relation[name] = np.stack(terms)
-    return terms_by_relation
-
-
-def _mean_terms(name: str, view: View, recorded: frozenset[str]) -> list[np.ndarray]:
-    """Mean accelerations that rates, angles and accelerometers make, and what they turn by, over what is allowed."""
-    V, channel = view["airspeed"], "alpha" if name == "level" else "beta"
-    terms = [np.mean(V * term) for term in RELATIONS[channel].terms(view)]
-    if channel in recorded:
-        x, time = view[channel], view["time"]
-        turned = float(np.median(x[-9:]) - np.median(x[:9])) / float(time[-1] - time[0])
-        terms.append(-np.mean(V) * turned)
-    elif np.mean(V) * SIDESLIP >= SIDE / 3.0 * float(view["time"][-1] - view["time"][0]):
-        return [np.zeros(1)]
-    return [np.atleast_1d(term) / MEANS[name] for term in terms]
-
-
-def side_bias(view: View, recorded: frozenset[str]) -> float:
-    """Mean lateral acceleration beyond what bank, turn and sideslip make, m/s2; zero where sideslip leaves it open."""
-    return SIDE * float(np.sum(_mean_terms("side", view, recorded), axis=0)[0])
-
-
-def integrated(rate: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """The integral of a (n,) rate over time, by the trapezium rule, zero at first."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (rate[:-1] + rate[1:]))])
-
-
-def without_drift(x: np.ndarray) -> np.ndarray:
-    """Less its best straight line: an unknown initial value, and a bias of the rate or steady vertical wind."""
-    t = np.linspace(-1.0, 1.0, len(x))
-    return x - x.mean() - t * float(t @ x) / float(t @ t)
-
-
-# --- Signs, units, gravity and kinds of airspeed that the other channels refute, by kinematics at any bank angle.
+# --- What the record is to be read as: the readings that mend what is refuted, and spoil nothing else.
 
 OFF = 0.10  # departure that no weather and no sensor makes, as a logarithm
 MENDED = 0.4  # of its misfit a relation may keep under the reading that is said to be right
@@ -418,7 +357,7 @@ MOST = 4  # faults of one record
 BESIDE = np.linspace(-0.18, 0.18, 19)  # logarithms beside a unit's factor, among which the record's own is sought
 FEW, SLOW = 500, 0.1  # samples and s between them that tell one sign from another
 ALIKE = 2.0  # logarithms of misfits within which ways to read the record may be as good as the best
-FAULT, AXES = 0.25, 2  # of these logarithms that a fault costs, and faults that axes cost
+FAULT, FRAME = 0.25, 2  # of these logarithms that a fault costs, and faults that axes cost
 TOLD = 0.2  # by which the best must be ahead of the next
 SPEED = frozenset({"airspeed", "altitude", "alpha", "beta"})  # relations that ask for a factor of the airspeed
 SPEED_ERROR = 0.02  # standard deviation of the scale of an airspeed in the right unit; assumed
@@ -430,12 +369,13 @@ NOUNS = {
     "theta": "pitch attitude", "phi": "bank angle", "psi": "heading", "altitude": "altitude",
     "airspeed": "airspeed", "alpha": "angle of attack", "beta": "sideslip", "level": "normal acceleration",
 }  # fmt: skip
-Misfits = dict[str, float]
 
 
 def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], FlightRecord]:
     """What must be read in another way for the record to be one flight: a finding for each such channel or frame, one
     for each mean acceleration that stays unexplained; and the record as it is to be read."""
+    if record.n < 50:
+        return [], record
     raw = view_of(record, card)
     view = dict(raw)  # without isolated spikes, dropouts and the jumps of an angle, which other checks report
     for name in set(raw) - {"time"}:
@@ -443,8 +383,6 @@ def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], Flig
         turned = raw[name][0] + np.cumsum(np.where(np.abs(steps) > JUMP, 0.0, steps))
         view[name] = median_filter(turned if name in ("psi", "phi") else raw[name], 5, mode="nearest")
     recorded = frozenset(record.channels) | {"time"} | frozenset(card.constants)
-    if record.n < 50:
-        return [], record
     before = misfits(view, recorded)
     said, left = _chain(record, card, view, recorded, before)
     if len(said) > 1 or (max(left.values(), default=0.0) > 1.0):
@@ -558,7 +496,7 @@ def _whole(
     least = min(score for score, _, _ in whole)
     alike = []
     for score, worst, m in whole:
-        faults = min(len(m), AXES + axes_of(m, have)[1])  # axes are as many as two, beside single channels
+        faults = min(len(m), FRAME + axes_of(m, have)[1])  # axes are as many as two, beside single channels
         alike += [(score + FAULT * faults, worst, m)] if score < least + ALIKE else []
     total = min(one[0] for one in alike)
     (worst, moves), *tied = sorted(
@@ -673,7 +611,7 @@ def _finding(
     other = "".join(f", or {r.names} {r.looks}" for r in tied)
     mend = ", or ".join([best.mend, *(r.mend for r in tied if _rivals(r, best))])
     if relation in MEANS:
-        scale, unit = MEANS[relation], "m/s^2 in the mean"
+        scale, unit = MEANS[relation].allowed, "m/s^2 in the mean"
     else:
         unit = {"altitude": "m", "airspeed": "m/s"}.get(relation, "deg")
         scale = RELATIONS[relation].allowed * (np.degrees(1.0) if unit == "deg" else 1.0)
