@@ -210,11 +210,7 @@ def per_length(parameter: Parameter, card: Lengths) -> Parameter:
 
 
 def departure(value: float, neutral: float) -> float:
-    """How far a parameter is from neutral, in steps along the tangent at its value.
-
-    Where neutral is at infinity, what the parameter does goes with its reciprocal: along the tangent it ends at twice
-    the value.
-    """
+    """How far a parameter is from neutral along the tangent at its value; of its reciprocal where that is infinite."""
     return value - neutral if math.isfinite(neutral) else -value
 
 

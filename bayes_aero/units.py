@@ -157,10 +157,7 @@ def _between(values: Any, source: str, target: str, given: str, where: str) -> n
 
 
 def same_unit(one: str, other: str) -> bool | None:
-    """Whether two spellings mean one unit; None where either is no unit at all (files say many things).
-
-    A dash says nothing of a quantity that has a unit.
-    """
+    """Whether two spellings mean one unit; None where either is none, or a dash beside one that is."""
     try:
         first, second = _pair(one, other, "unit")
     except InputError:

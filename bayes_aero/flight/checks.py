@@ -32,8 +32,7 @@ Check = Callable[[FlightRecord, Card, bool], str]
 
 
 def check_record(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> None:
-    """Raise `InputError`, with channel, sample and remedy, for the first thing wrong with a record. `even=False`: it is
-    to be resampled."""
+    """Raise InputError, with channel, sample and remedy, for the first fault; `even=False`: it is to be resampled."""
     for reason in failures(record, even=even, channels=channels):
         raise InputError(reason)
 
@@ -49,8 +48,7 @@ def failures(record: FlightRecord, *, even: bool = True, channels: Sequence[Chan
 
 
 def check_arrays(record: FlightRecord, channels: Sequence[Channel]) -> None:
-    """Raise InputError if a record made in memory is too short, lacks numbers that the card needs, or its time does
-    not increase."""
+    """Raise InputError if a record made in memory is too short, lacks numbers, or its time does not increase."""
     used = {c.name: record[c.name] for c in channels if c.required and c.name in record.channels}
     for check in (length, finite, monotonic):
         if reason := check(replace(record, channels=used), {}, True):
@@ -346,8 +344,7 @@ _STEPWISE = ("gear",)
 
 
 def resample_record(record: FlightRecord, dt: float) -> FlightRecord:
-    """The record on the grid t0, t0 + dt, ... by cubic interpolation of each channel between its own samples, low-pass
-    filtered where dt is coarser; a step beyond `MAX_GAP` median steps is refused. Angles come back unwrapped."""
+    """The record on an even grid: cubic splines, low-pass filtered where `dt` is coarser; no gap is bridged."""
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"record {record.name}: cannot resample to an interval of {dt!r} s; give a positive number")
     knots = {name: sampled_at(name, values) for name, values in record.channels.items()}

@@ -267,8 +267,7 @@ def alpha_rate(s: Mapping[str, Array], regression: LiftRegression, dt: Series, f
 def lift_regression(
     s: Mapping[str, Array], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
 ) -> LiftRegression:
-    """Regression of the fast part of alpha-dot due to specific force on the causes of lift; arguments as `alpha_rate`.
-    `accelerometer` is its position from the CG, m."""
+    """Regression of the fast part of alpha-dot due to specific force on the causes of lift; see `alpha_rate`."""
     smooth, fast, base = _parts(s, dt, first, last)
     names = [name for name in ("alpha", "q", "airspeed", "density", "elevator") if name in s]
     smoothed = dict(zip(names, jax.vmap(smooth)(jnp.stack([s[name] for name in names])), strict=True))

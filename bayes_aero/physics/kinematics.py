@@ -68,8 +68,7 @@ def lateral_motion(s: Mapping[str, Samples], force: Axes, sines: Sines | None = 
 def motion_in_plane(
     s: Mapping[str, Samples], force: Axes, down: Axes, sines: Sines | None = None
 ) -> dict[str, Samples]:
-    """Time derivatives of airspeed (m/s2), alpha (rad/s) and altitude (m/s). `force`: specific force at the centre of
-    gravity, m/s2; `down`: the direction of gravity; both in body axes."""
+    """Rates of airspeed, alpha and altitude; `force`: specific, at the CG, `down`: of gravity, in body axes."""
     sin_a, cos_a, sin_b, cos_b = (_sines(s, FLOW_ANGLES) if sines is None else sines)[:4]
     ax, ay, az = _accelerations(force, down)
     V = s["airspeed"]

@@ -164,8 +164,7 @@ def noise_of(*parts: np.ndarray) -> float:
 
 
 def noise_alone(x: np.ndarray, *parts: np.ndarray) -> bool:
-    """Whether more than half of what (n,) samples scatter about the mean of their manoeuvre is white noise. `parts` are
-    the same samples, manoeuvre by manoeuvre; left out, they are one."""
+    """Whether more than half of what (n,) samples scatter about the mean, of each of `parts`, is white noise."""
     parts = parts or (x,)
     return bool(noise_of(*parts) ** 2 > NOISY * float(sum(len(p) * np.var(p) for p in parts)) / len(x))
 
@@ -257,8 +256,7 @@ def same_records(records: Sequence[FlightRecord]) -> Findings:
 
 
 def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, int]] | None:
-    """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing. Another
-    name, order of channels, origin of time, number of digits or a whole part of the rate make no new record."""
+    """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing."""
     slow = max(one.dt, two.dt)
     every = [round(slow / record.dt) for record in (one, two)]
     if max(every) > SLOWER or any(abs(k * r.dt - slow) > 1e-3 * slow for k, r in zip(every, (one, two), strict=True)):

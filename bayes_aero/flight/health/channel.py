@@ -296,8 +296,7 @@ def held_period(x: np.ndarray) -> float:
 
 
 def interpolated_period(x: np.ndarray) -> float:
-    """Samples between the corners of a signal that is made of straight lines; zero if it is not. Corners a whole number
-    of samples apart are found under coarse rounding, others where they are far apart and clear."""
+    """Samples between the corners of a signal that is made of straight lines; zero if it is not."""
     bends = np.abs(np.diff(x, 2))
     if len(bends) < 4 * FEWEST or not bends.any():
         return 0.0
@@ -535,8 +534,7 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
 
 
 def _without_consequences(said: list[HealthFinding]) -> list[HealthFinding]:
-    """Each fault of a channel once, without what follows from another one. A dropout looks like a flat stretch, too, at
-    an end of the channel's range; a density or airspeed in another unit makes level flight impossible as well."""
+    """Each fault of a channel once, without what follows from another one."""
     dropped = {finding.channel for finding in said if finding.fault == "dropout"}
     said = [f for f in said if not (f.fault in ("frozen", "saturated", "quantised") and f.channel in dropped)]
     units, first = [f for f in said if f.fault == "unit"], {}

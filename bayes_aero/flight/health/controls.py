@@ -86,8 +86,7 @@ LATERAL = (
 
 
 def control_responses(record: FlightRecord, card: Card) -> Findings:
-    """Findings where an angular acceleration answers a positive deflection the wrong way. Aileron and rudder are looked
-    at for cards of the lateral axis alone: others leave their sign to the user."""
+    """Findings where an angular acceleration answers a positive deflection the wrong way."""
     for control in (ELEVATOR, *(LATERAL if Axis.LATERAL in card.axes else ())):
         fitted, surface = _fitted(control, record), control.surface
         if fitted is None or fitted.response < max(SURE * fitted.error, RESPONSE):
@@ -176,8 +175,7 @@ def _deflected(record: FlightRecord) -> list[str]:
 
 
 def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, int] | None = None) -> _Fit | None:
-    """The fit to all samples, or to those outside a run in which a surface about the axis stands still, beside the
-    other surfaces; None where surface or motion are not there."""
+    """The fit to all samples, or to those `outside` a run in which a surface about the axis stands still."""
     surface = control.surface if outside is None or outside[0] in PAIR else outside[0]
     deflection = _deflection(surface, record)
     if deflection is None or not all(map(record.has, control.beside)) or record.n * record.dt < 4.0 * SLOW:
@@ -312,8 +310,7 @@ class _Followed(NamedTuple):
 def _followed(
     u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt: float, longest: float, limits: _Limits | None
 ) -> _Followed:
-    """The best law of outputs behind a lag of at most `longest` s and a delay, fitted to the samples within limits;
-    without outputs, what drifts and decays in time alone."""
+    """The best law of outputs behind a lag of at most `longest` s and a delay, fitted to the samples within limits."""
     window = SMOOTH / dt
     # Noise of a regressor makes its weight too small: the law is fitted to what is smoothed.
     inside = _inside(u, dt)
@@ -361,8 +358,7 @@ def _inside(u: np.ndarray, dt: float) -> slice:
 def _late(
     x: Float[np.ndarray, "k n"], u: Float[np.ndarray, " n"], free: np.ndarray, lag: float, dt: float
 ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"]]:
-    """Signals behind a lag of first order, and what the surface's own position adds behind it. The lag begins at the
-    surface's position: at the first sample, and after each sample at a limit."""
+    """Signals behind a lag of first order, and what the surface's own position adds, where it begins and at limits."""
     pole = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0
     held = ~free | (np.arange(len(u)) == 0)
     # y - pole y(one earlier) = (1 - pole) x as a banded system: `scipy.signal` is slow to load, and `check` needs this.

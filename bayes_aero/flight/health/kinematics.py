@@ -71,8 +71,7 @@ def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
 
 
 def rates_of(view: View, only: str | None = None) -> dict[str, np.ndarray]:
-    """Rate of change of each channel, (n,), not a number where it lacks what it needs; `only` the part due to one of
-    `LINEAR`."""
+    """Rate of change of each channel, (n,), NaN where something is missing; `only` the part due to one of `LINEAR`."""
     n = len(view["time"])
     v = {name: view.get(name, np.full(n, np.nan)) for name in PATH_NEEDS}
     inputs = v | dict(zip("xyz", down_of(v["phi"], v["theta"]), strict=True))
@@ -91,8 +90,7 @@ def dead_heading(view: View) -> bool:
 
 
 def misfits(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> Misfits:
-    """How far each relation (or those of `names`) is from what is allowed: 1 is the limit. Relations that lack a
-    channel are left out."""
+    """How far each relation (or those of `names`) that has its channels is from what is allowed: 1 is the limit."""
     off = {name: terms.sum(0) for name, terms in terms_of(view, recorded, names, (None,)).items()}
     sizes = {name: float(np.sqrt(np.mean(np.minimum(np.abs(x), 1e9) ** 2))) for name, x in off.items()}
     return {name: sizes[name] if np.isfinite(x).all() else np.inf for name, x in off.items()}
@@ -104,8 +102,7 @@ def terms_of(
     names: frozenset[str] | None = None,
     parts: Sequence[str | None] = LINEAR,
 ) -> dict[str, np.ndarray]:
-    """What the terms (k, n) of each relation leave when they are added, over what is allowed: the channel, and what
-    each of `parts` makes of its rate."""
+    """Terms (k, n) whose sum a relation leaves, over what is allowed: the channel, and what each of `parts` makes."""
     rates, time, terms = [rates_of(view, part) for part in parts], view["time"], {}
     with np.errstate(all="ignore"):
         for name, relation in (RELATIONS | MEANS).items():
@@ -210,8 +207,7 @@ def orders(kind: str, recorded: frozenset[str]) -> Iterator[dict[str, str]]:
 
 
 def axes_of(moves: Moves, recorded: frozenset[str]) -> tuple[str, int]:
-    """The axes of both instruments or one that explain most of the moves, in words ("x forward, y left, z up"), and how
-    many channels are to be read otherwise than these axes say."""
+    """The axes that explain most of the moves, in words, and how many channels they do not explain."""
     kinds = tuple(kind for kind, names in INSTRUMENTS.items() if recorded & {*names})
     angles = {n for n in moves if n in (*ATTITUDE, *FLOW)}
     more = min(len(angles ^ (turned & recorded)) for turned in ANGLES)
@@ -233,8 +229,7 @@ def axes_of(moves: Moves, recorded: frozenset[str]) -> tuple[str, int]:
 
 
 def moved(card: Card, recorded: frozenset[str], moves: Moves) -> Reading:
-    """The record with channels taken for each other, or counting the other way. Axes are named where they say what as
-    many wrong signs could not, or only with more of them."""
+    """Channels taken for each other, or counting the other way; axes where they say what as many signs could not."""
     turned = ", ".join(name for name, (source, _) in moves.items() if source == name)
     exchanged = ", ".join(f"{name} is {source}" for name, (source, _) in moves.items() if source != name)
     axes, rest = axes_of(moves, recorded)
@@ -372,8 +367,7 @@ NOUNS = {
 
 
 def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], FlightRecord]:
-    """What must be read in another way for the record to be one flight: a finding for each such channel or frame, one
-    for each mean acceleration that stays unexplained; and the record as it is to be read."""
+    """A finding for each channel or frame that must be read in another way; and the record as it is to be read."""
     if record.n < 50:
         return [], record
     raw = view_of(record, card)
@@ -452,9 +446,7 @@ def _factors(view: View, recorded: frozenset[str]) -> list[Reading]:
 
 
 def _speed_factor(view: View, recorded: frozenset[str], names: frozenset[str]) -> tuple[float, float] | None:
-    """Logarithm of the factor of the airspeed that fits these relations best, and its standard error. The error is that
-    of the scatter between pieces of the record, which are taken as independent. None where the record is too short for
-    them."""
+    """Logarithm of the factor of the airspeed that fits best, and its standard error, by pieces of the record."""
     pieces = np.array_split(np.arange(len(view["time"])), max(FEWEST, round(np.ptp(view["time"]) / PIECE)))
     if not names or "airspeed" not in recorded or len(pieces[-1]) < SHORTEST:
         return None

@@ -219,8 +219,7 @@ def stated_unit(units: Any) -> str | None:
 
 @contextmanager
 def foreign(kind: str) -> Iterator[None]:
-    """Turn whatever a foreign parser throws at a damaged file into one sentence. Such parsers raise anything from
-    KeyError to zlib.error and RecursionError, so this border catches them all."""
+    """Turn whatever a foreign parser throws at a damaged file, KeyError to zlib.error, into one sentence."""
     try:
         yield
     except InputError:

@@ -128,8 +128,7 @@ NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 
 
 def hdf5(data, wanted, kept):
-    """What is there, where nothing is `wanted`; else the numbers as stored. wanted: path and, of a matrix, column of
-    each. kept: attributes that go with them."""
+    """What is there, where nothing is `wanted`; else numbers and `kept` attributes of each path (and column)."""
     import h5py
 
     arrays, attributes = [], []
