@@ -195,7 +195,7 @@ WRONG_INPUTS = [
     (put("tables", {"q": {"unit": "rad/s", "from": {}, "values": []}}), "states q elsewhere, too"),
     (put("derived", "density", "guess"), "write 'gas law' or 'dynamic pressure' or 'standard atmosphere'"),
     (put("derived", "density", "standard atmosphere"), "needs altitude"),
-    (put("sums", "density", ["mach"]), r"density is in \[sums\] and in \[derived\]"),
+    (put("sums", "density", ["mach"]), r"density is both in \[sums\] and in \[derived\]"),
     (put("sums", "elevator", {"elevator_left": "half"}), "'half' is not a number"),
     (put("sums", "elevator", [["elevator_left"]]), "must hold names of channels"),
     (put("sums", "elevator", 3), "list of channel names, or a table with factors"),
