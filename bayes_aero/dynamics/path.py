@@ -54,7 +54,7 @@ class FlightPath(InGusts):
         state = dict(zip(self.states, x, strict=True))
         s, flow = dict(u) | state, self.flow_signals(x, u)
         force = (u["force_x"], u["force_y"], u["force_z"])
-        rates = kinematics.motion_of_path(s, force) | kinematics.lateral_motion(s, force)
+        rates = kinematics.motion_of_path(s, force)
         rates["psi"] = kinematics.euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
         decay, _ = self.mean_gust_rates(state, flow)
         return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {

@@ -3,7 +3,7 @@
 import re
 from dataclasses import replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, cycle
 from pathlib import Path
 
 import numpy as np
@@ -35,17 +35,16 @@ def told(record, *more, **changes):
     return [(f.fault, f.channel) for f in channel_health([record, *more], card(**changes)) if f.grave]
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("dt", [0.01, 0.04, 0.1])
-def test_sound_flights_are_silent(seed, dt):
-    assert channel_health([flight(seed, dt, noise=(0.3, 1.0, 3.0)[seed % 3])], card()) == ()
+@pytest.mark.parametrize(("seed", "dt", "noise"), [(0, 0.01, 0.3), (1, 0.04, 1.0), (2, 0.1, 3.0), (3, 0.02, 1.0)])
+def test_sound_flights_are_silent(seed, dt, noise):
+    assert channel_health([flight(seed, dt, noise=noise)], card()) == ()
 
 
-@pytest.mark.parametrize("bank", [0.0, 0.4])
-def test_sound_flights_without_any_two_channels_are_silent(bank):
-    record = flight(0, seconds=30.0, bank=bank)
-    for without in combinations(record.channels, 2):
-        assert channel_health([changed(record, without=without)], card()) == (), without
+def test_sound_flights_without_any_two_channels_are_silent():
+    """Every other pair in a flight without bank."""
+    records = [flight(0, seconds=30.0, bank=bank) for bank in (0.4, 0.0)]
+    for k, without in enumerate(combinations(records[0].channels, 2)):
+        assert channel_health([changed(records[k % 2], without=without)], card()) == (), without
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -83,7 +82,7 @@ UNLIKE = [  # km/h and ft/s are ten per cent apart, knots and mph fifteen
 ]  # fmt: skip
 FORCE = ("ax", "ay", "az")
 DROPS = {"alpha": 0.0, "q": 0.0, "az": 0.0, "theta": 0.0, "altitude": 30479.695, "airspeed": 0.01, "p": 3.0}
-HELD = [(name, period) for name in ("alpha", "elevator", "q") for period in (3, 5, 8)]
+HELD = [("alpha", 3), ("elevator", 5), ("q", 8), ("elevator", 3)]
 
 
 def still(record, name):
@@ -102,10 +101,10 @@ def without_gravity(record, *names):
 
 
 FAULTS = {  # of a flight with these arguments: its fault, its channel, what stands there, words of the sentence
-    **{f"{n} in {u}, {s}": ({"seed": s}, "unit", n, lambda r, n=n, x=x: x * r[n], f'unit = "{u}"')
-       for n, x, u in UNLIKE for s in range(3)},
-    **{f"forces in {u}, {s}": ({"seed": s}, "unit", "ax", lambda r, x=x: {n: r[n] / x for n in FORCE}, f'unit = "{u}"')
-       for u, x in (("g", G), ("ft/s^2", FOOT)) for s in range(2)},
+    **{f"{n} in {u}": ({"seed": k % 3}, "unit", n, lambda r, n=n, x=x: x * r[n], f'unit = "{u}"')
+       for k, (n, x, u) in enumerate(UNLIKE)},
+    **{f"forces in {u}": ({"seed": k}, "unit", "ax", lambda r, x=x: {n: r[n] / x for n in FORCE}, f'unit = "{u}"')
+       for k, (u, x) in enumerate((("g", G), ("ft/s^2", FOOT)))},
     "no gravity in ax": ({"seed": 3}, "gravity", "ax", lambda r: without_gravity(r, "ax"), ""),
     "no gravity": ({"seed": 3}, "gravity", None, lambda r: without_gravity(r, *FORCE), ""),
     "one g less, in g": ({"seed": 3}, "gravity", "az", lambda r: {
@@ -148,9 +147,7 @@ def test_a_fault_of_one_channel_is_told_and_no_other(case):
         assert (finding.begin, finding.end) == (pytest.approx(24.0, abs=0.1), pytest.approx(30.0, abs=0.1))
 
 
-@pytest.mark.parametrize("dt", [0.01, 0.02, 0.04])
-@pytest.mark.parametrize("rate", [1.0, 2.0])
-@pytest.mark.parametrize("seconds", [15.0, 60.0])
+@pytest.mark.parametrize(("dt", "rate", "seconds"), [(0.01, 1.0, 60.0), (0.02, 2.0, 15.0), (0.04, 1.0, 60.0)])
 def test_a_channel_between_samples_of_one_hertz_has_its_true_rate_said(dt, rate, seconds):
     record = flight(8, dt, seconds)
     found = channel_health([changed(record, alpha=interpolated(record, "alpha", rate))], card())
@@ -533,8 +530,7 @@ LIMITS = {"limit": np.deg2rad(2.0), "rate": np.deg2rad(8.0), "gains": np.zeros(4
 NO_LAW = [
     *((slow_stall, seed) for seed in range(30, 34)), (at_limits_and_ends,),
     *((partial(under_feedback, gust=gust, **LIMITS), 3.0 * DEG, pilot) for gust in (0.0, 1.0) for pilot in PILOTS),
-    *((free_response, rest, seconds, surface) for rest in RESTS for seconds in (6.0, 10.0, 25.0)
-      for surface in (0.0, 1e-4)),
+    *((free_response, rest, *made) for rest in RESTS for made in ((6.0, 1e-4), (10.0, 0.0), (25.0, 1e-4))),
 ]  # fmt: skip
 
 
@@ -543,8 +539,7 @@ def test_what_no_law_moves_is_no_feedback(made):
     assert [*feedback([made[0](*made[1:])], read_card("short_period"))] == []
 
 
-@pytest.mark.parametrize("flown", PILOTS)
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(("law", "flown"), [*zip(LAWS, cycle(PILOTS), strict=False)])
 def test_a_pilot_beside_the_feedback_parts_the_two(law, flown):
     """Inputs of 0.3 deg; one record with them serves the others that are fitted with it."""
     card, piloted = read_card("short_period"), under_feedback(np.deg2rad(0.3), flown, **LAWS[law])

@@ -130,8 +130,7 @@ def test_an_airspeed_is_calibrated_where_its_ratio_is_that_of_calibrated_airspee
     assert {f.fault for f in found if f.fault != "load"} == {"airspeed_kind" if kind else "factor"}
 
 
-@pytest.mark.parametrize("name", ["p", "q", "r"])
-@pytest.mark.parametrize("dt", [0.02, 0.1])
+@pytest.mark.parametrize(("name", "dt"), [("p", 0.02), ("q", 0.1), ("r", 0.02)])
 def test_a_derivative_in_degrees_is_told(name, dt):
     record = flight(2, dt)
     rng = np.random.default_rng(1)
@@ -264,9 +263,8 @@ FRAMES = {  # the program's channel i is read from the file's channel order[i], 
 SENSORS = (("p", "q", "r"), ("ax", "ay", "az"))
 
 
-@pytest.mark.parametrize("axes", FRAMES)
+@pytest.mark.parametrize(("axes", "seed"), [(axes, k % 2) for k, axes in enumerate(FRAMES)])
 @pytest.mark.parametrize("wrong", range(4))
-@pytest.mark.parametrize("seed", range(2))
 def test_axes_are_named_despite_errors_of_scale_and_never_where_single_signs_are_wrong(axes, wrong, seed):
     """Up to four sensors are off by a scale of 0.75 to 1.33, and `wrong` of all channels count the other way."""
     rng = np.random.default_rng([seed, wrong, *axes.encode()])
@@ -321,8 +319,9 @@ def gusty(record, size=1.5):
     return changed(record, airspeed=V + u, alpha=record["alpha"] + w / V, beta=record["beta"] + v / V)
 
 
-@pytest.mark.parametrize(("factor", "gust"), [(1.85, 0.0), (1.944 * 0.95, 0.0), (1.5, 1.0), (0.7, 1.0)])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "factor", "gust"), [
+    (0, 1.85, 0.0), (1, 1.944 * 0.95, 0.0), (2, 1.5, 1.0), (0, 0.7, 1.0), (1, 1.5, 1.0),
+])  # fmt: skip
 def test_a_factor_of_the_airspeed_is_told_with_its_error_and_no_bias(seed, factor, gust):
     record = gusty(flight(seed, dt=0.02), gust)
     said = channel_health([changed(record, airspeed=factor * record["airspeed"])], card())
@@ -365,7 +364,7 @@ def off_by_half(record, rng, seed):
 
 @pytest.mark.parametrize(("errors", "seed", "none"), [
     *((off_by_a_tenth, seed, {"unit", "airspeed_kind", "gravity", "load", "sign", "axes"}) for seed in range(4)),
-    *((off_by_half, seed, {"unit", "gravity", "load"}) for seed in range(12)),
+    *((off_by_half, seed, {"unit", "gravity", "load"}) for seed in range(6)),
 ])  # fmt: skip
 def test_no_unit_is_claimed_of_sensors_with_errors_of_scale_bias_and_sign(errors, seed, none):
     """All units are right."""

@@ -43,6 +43,7 @@ OTHERS = (("beta", "p", "r", "phi", "airspeed"), ("alpha", "q", "theta", "airspe
 """What a law of the elevator, and one of ailerons or rudder, do not integrate."""
 ANGLE_OF = {"q": "theta", "p": "phi", "r": "psi"}
 MAX_LAG, DELAYS = 0.5, (0.0, 0.1, 0.2)  # s, of an actuator or a filter between outputs and surface
+LAG_ERROR = 1e-3  # s to which a lag is found
 OWN, NOTHING = 0.05, 1e-3
 """Share of a surface's motion that must be its own where it is above noise, and at all. Our choice: on recorded
 manoeuvres of three aircraft the surface that is flown has more than 0.02 of its own, 4 times its noise or more."""
@@ -326,7 +327,7 @@ def _followed(
 
     tried = []
     for delay in (round(d / dt) for d in DELAYS):
-        best = np.asarray(fminbound(lambda lag, d=delay: float(np.var(law(lag, d)[1])), 0.0, longest))
+        best = np.asarray(fminbound(lambda lag, d=delay: float(np.var(law(lag, d)[1])), 0.0, longest, xtol=LAG_ERROR))
         tried += [(float(np.var(law(lag, delay)[1])), lag, delay) for lag in (0.0, float(best.flat[0]))]
     _, lag, delay = min(tried)
     weights, left = law(lag, delay)
@@ -364,7 +365,7 @@ def _late(
     # y - pole y(one earlier) = (1 - pole) x as a banded system: `scipy.signal` is slow to load, and `check` needs this.
     bands = np.array([np.ones(len(u)), np.append(np.where(held[1:], 0.0, -pole), 0.0)])
     driven = np.concatenate([np.where(held, 0.0, (1.0 - pole) * x), [np.where(held, u, 0.0)]])
-    *late, own = solve_banded((1, 0), bands, driven.T).T
+    *late, own = solve_banded((1, 0), bands, driven.T, check_finite=False).T
     return np.array(late), own
 
 
