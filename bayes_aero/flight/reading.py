@@ -143,13 +143,12 @@ def present(path: Path) -> None:
 
 def format_of(path: Path) -> Callable[[bytes], OpenedFile]:
     """What opens a file, told by its suffix."""
-    opens = READERS.get(path.suffix.lower())
-    if opens is None:
-        given = f"the suffix {path.suffix!r}" if path.suffix else "a file without suffix"
+    given = f"the suffix {path.suffix!r}" if path.suffix else "a file without suffix"
+    if (suffix := path.suffix.lower()) not in READERS:
         raise InputError(
             f"{given} is not known; flight records end in {', '.join(READERS)}: rename or convert the file"
         )
-    return opens
+    return READERS[suffix]
 
 
 def bytes_of(path: Path) -> bytes:
@@ -313,8 +312,7 @@ def without_repeats(record: FlightRecord) -> FlightRecord:
     remark = (
         f"{what} the one before in time and in every channel of the card, and {'is' if count == 1 else 'are'} left out"
     )
-    channels = {name: x[~again] for name, x in record.channels.items()}
-    return replace(record, time=record.time[~again], channels=channels, remarks=(*record.remarks, remark))
+    return replace(record.part(~again), remarks=(*record.remarks, remark))
 
 
 # --- Records brought to one sampling rate, at which filters that span samples span the seconds they were made for.
@@ -332,19 +330,21 @@ def common_interval(records: Sequence[FlightRecord]) -> float:
 
 def at_common_rate(records: Sequence[FlightRecord]) -> list[FlightRecord]:
     """The records at `common_interval`, filtered against aliasing; those that have it, unchanged."""
-    dt = common_interval(records) if records else 0.0
-    return [record if abs(record.dt - dt) <= SAME * dt else resample_record(record, dt) for record in records]
+    return [
+        resample_record(record, common_interval(records)) if _odd(record, records) else record for record in records
+    ]
+
+
+def _odd(record: FlightRecord, records: Sequence[FlightRecord]) -> bool:
+    dt = common_interval(records)
+    return abs(record.dt - dt) > SAME * dt
 
 
 def rate_notes(records: Sequence[FlightRecord]) -> tuple[str, ...]:
     """A sentence where records were brought to another rate; none where they were not."""
-    changed = [old for old, new in zip(records, at_common_rate(records), strict=True) if new is not old]
-    if not changed:
-        return ()
-    rates = ", ".join(f"{record.name} ({1.0 / record.dt:.4g} Hz)" for record in changed)
-    return (
-        f"Brought to the common rate of {1.0 / common_interval(records):.4g} Hz, filtered against aliasing: {rates}.",
-    )
+    rates = ", ".join(f"{record.name} ({1.0 / record.dt:.4g} Hz)" for record in records if _odd(record, records))
+    rate = f"{1.0 / common_interval(records):.4g} Hz" if rates else ""
+    return (f"Brought to the common rate of {rate}, filtered against aliasing: {rates}.",) if rates else ()
 
 
 # --- A look at a record through a card: what was taken from where, and everything that is wrong with it at once.
@@ -479,7 +479,7 @@ def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
     forward = bool((np.diff(record.time) > 0.0).all())
     flown: list[tuple[int, int]] = []
     for a, b in parts:
-        part = _window(record, a, b)
+        part = record.part(slice(a, b))
         if part.has("airspeed") and not np.isfinite(part["airspeed"]).all():
             flown.append((a, b))
             continue
@@ -491,14 +491,10 @@ def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
         found += [_proposal(record, a, b, "in flight", forward) for a, b in flown]
     if forward:
         for a, b in flown:
-            moved = _manoeuvres(_window(record, a, b), a)
+            moved = _manoeuvres(record.part(slice(a, b)), a)
             if len(moved) > 1 or (moved and moved[0][1] - moved[0][0] < MOST_OF_A_PART * (b - a)):
                 found += [_proposal(record, i, j, "manoeuvre", forward) for i, j in moved]
     return tuple(found)
-
-
-def _window(record: FlightRecord, a: int, b: int) -> FlightRecord:
-    return FlightRecord(record.name, record.time[a:b], {n: x[a:b] for n, x in record.channels.items()}, "", "")
 
 
 def _manoeuvres(part: FlightRecord, offset: int) -> list[tuple[int, int]]:

@@ -290,23 +290,14 @@ def test_an_hdf5_header_that_claims_more_than_there_is(tmp_path, shape):
         read_record(tmp_path / "big.nc", CHANNELS)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".asc"])
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"1," * 50_000_000, "characters, more than"),  # one line of 100 MB
-        (b"9" * 100_000_000, "characters, more than"),
-        (b"1,2\n" * 6_000_000, "lines, more than"),
-        (b"\n" * 50_000_000, "lines, more than"),
-        (b"\r" * 50_000_000, "lines, more than"),
-        (b"T,ALCG\n" + b"9" * 150_000 + b",1\n" + b"1,2\n" * 60, "column"),
-    ],
-    ids=["one line", "one number", "lines of numbers", "empty lines", "carriage returns", "a long number"],
-)
-def test_text_that_is_no_table(tmp_path, suffix, content, said):
-    path = tmp_path / f"odd{suffix}"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=said if suffix == ".csv" or "column" not in said else "."):
+@pytest.mark.parametrize(("piece", "times", "said"), [
+    (b"1,", 50_000_000, "characters, more than"), (b"1,2\n", 6_000_000, "lines, more than"),  # one line of 100 MB
+    (b"\r", 50_000_000, "lines, more than"), (b"T,ALCG\n" + b"9" * 150_000 + b",1\n1,2\n", 60, "column"),
+])  # fmt: skip
+def test_text_that_is_no_table(tmp_path, piece, times, said):
+    path = tmp_path / "odd.csv"
+    path.write_bytes(piece * times)
+    with pytest.raises(InputError, match=said):
         read_record(path, CHANNELS)
 
 
