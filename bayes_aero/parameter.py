@@ -34,10 +34,7 @@ class Length(StrEnum):
 
 @dataclass(frozen=True)
 class Lengths:
-    """How often a card's reference length goes into the usual one: chord, half span and span of `Length`.
-
-    `span`: the aircraft's, over that of the transport for which the catalogue states sizes in metres.
-    """
+    """How often a card's reference length goes into the usual one; `span`: over that of the catalogue's transport."""
 
     rate: float = 1.0
     lateral_rate: float = 1.0

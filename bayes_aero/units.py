@@ -94,11 +94,7 @@ def _pair(one: str, other: str, where: str) -> tuple[Any, Any]:
 
 
 def canonical(text: str, si: str | None = None) -> str | None:
-    """A unit as cards spell it, whatever a file calls it: "FT/SEC" is "ft/s", "slugs/ft3" is "slug/ft^3".
-
-    `si`, the unit of the quantity, decides where a word has two meanings ("lbs" of a thrust is "lbf"). None where the
-    text is no unit.
-    """
+    """A unit as cards spell it ("FT/SEC": "ft/s"), of the kind of `si` if it has two meanings; None if it is none."""
     found = _meanings(text) if text.strip() else ()
     if si is not None and len(found) > 1:
         wanted = _known(si, "unit")[0].dimensionality
@@ -274,10 +270,7 @@ _FACTOR = re.compile(r"\s*(/|\*(?!\*)|-(?=[A-Za-z°%])|\.|)\s*([A-Za-z%°']+)((?
 
 @lru_cache(maxsize=2048)
 def spellings(text: str) -> tuple[str, ...]:
-    """What a unit may mean, as cards spell it, the likeliest first; empty where the table does not know it.
-
-    More than one where a word stands for two kinds of quantity: "lbs" is ("lb", "lbf").
-    """
+    """What a unit may mean, as cards spell it, the likeliest first ("lbs": "lb", "lbf"); empty where unknown."""
     plain = text.strip().strip("[](){}<> ").translate(_PLAIN).strip()
     if not plain or len(plain) > _LONGEST:
         return ()

@@ -322,8 +322,7 @@ HOLDABLE = ("airspeed", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi", "
 
 @dataclass(frozen=True)
 class FlyCard:
-    """Outputs to compare (None: all), the initial state of `fly --initial-state fixed`, SI, and states that are `held`
-    to the record."""
+    """Outputs to compare (None: all), the fixed initial state, SI, and states that are `held` to the record."""
 
     outputs: tuple[str, ...] | None = None
     initial_state: Mapping[str, float] = field(default_factory=dict)

@@ -270,8 +270,7 @@ def side_of(heading: str) -> tuple[str, str] | None:
 
 
 def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]:
-    """Name in lower case without blanks, and the unit where the heading tells it: "AoA [deg]", "alt_ft", "KTAS". `si`
-    is the SI unit of the channel, if it is known: it decides between the two meanings of "TAS [KN]"."""
+    """Name and unit of a heading: "AoA [deg]", "alt_ft", "KTAS"; `si` of the channel decides what "TAS [KN]" means."""
     bracketed = _BRACKETS.match(heading.strip()) or _BEHIND_COMMA.fullmatch(heading.strip())
     if bracketed and "," in bracketed[0][len(bracketed[1]) :] and _spelled(bracketed[2], si) is None:
         bracketed = None  # "Gload,norml" is a name of two words

@@ -310,8 +310,7 @@ def time_hint(median: float, channel: Channel | None) -> str:
 
 
 def without_bad_options(record: FlightRecord, channels: Sequence[Channel], *, blanks: bool = False) -> FlightRecord:
-    """The record without optional channels that are not finite or not plausible; it remembers why. `blanks`: missing
-    samples pass, for the record is about to be resampled."""
+    """The record without optional channels that are not finite (`blanks` pass) or not plausible; it remembers why."""
     dropped = {}
     for channel in channels:
         if channel.required or channel.name not in record.channels:

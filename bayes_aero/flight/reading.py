@@ -272,8 +272,7 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
 
 
 def _numeric(opened: OpenedFile, places: Mapping[str, Heading]) -> dict[str, FileColumn]:
-    """All columns at once; where one is no numbers, each half on its own, so that only it is lost. When `PATIENCE` is
-    over, whatever has not been read is taken for no numbers."""
+    """All columns at once; where one is no numbers, each half on its own, so that only it is lost, for `PATIENCE` s."""
     numbers: dict[str, FileColumn] = {}
     failure = InputError("it holds no column of numbers; is it the right file?")
     left = deque([list(places.items())])
@@ -302,8 +301,7 @@ def repeats(time: np.ndarray, channels: Iterable[np.ndarray]) -> Bool[np.ndarray
 
 
 def without_repeats(record: FlightRecord) -> FlightRecord:
-    """The record without such samples, which say nothing new, and a remark. Samples of one time that differ stay, for
-    nobody knows which of them is right."""
+    """The record without such samples, and a remark. Samples of one time that differ stay."""
     again = repeats(record.time, record.channels.values())
     if not again.any():
         return record

@@ -137,8 +137,7 @@ class Envelope:
 
 
 def excursion(flight: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Least and greatest value of each quantity of an envelope during a flight of these channels, SI. The load factor
-    is -az/g, of the specific force along the body's z axis."""
+    """Least and greatest value of each quantity of an envelope during a flight, SI; the load factor is -az/g."""
     found = {name: np.asarray(flight[name]) for name in ("alpha", "beta", "phi", "airspeed") if name in flight}
     if "az" in flight:
         found["load_factor"] = -np.asarray(flight["az"]) / GRAVITY

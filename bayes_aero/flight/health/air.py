@@ -190,8 +190,7 @@ def as_calibrated(record: FlightRecord, k: float, meant: str) -> list[HealthFind
 
 
 def _density(record: FlightRecord, card: Card, view: View) -> Findings:
-    """Density against that of a standard atmosphere at the altitude: a unit of what makes it, or of the altitude, or
-    none explains it."""
+    """Density against that of a standard atmosphere: a unit of it, or of the altitude, or none explains it."""
     powers = _made_of(card, record)
     if "density" not in view or "altitude" not in view or not powers or not len(view["density"]):
         return

@@ -35,8 +35,7 @@ LINEAR = ("p", "q", "r", "ax", "ay", "az", "x", "y", "z")
 
 
 class Relation(NamedTuple):
-    """Channels that must be recorded; misfit, SI, that sound records stay below after a constant and a drift are taken
-    out, in pieces of `piece` s where errors of the rate add up too fast for the whole record."""
+    """Channels that must be recorded; misfit, SI, that sound records stay below, drift taken out in `piece`s of s."""
 
     needs: tuple[str, ...]
     allowed: float
@@ -397,8 +396,7 @@ def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], Flig
 def _chain(
     record: FlightRecord, card: Card, view: View, recorded: frozenset[str], before: Misfits
 ) -> tuple[list[tuple[Reading, HealthFinding]], Misfits]:
-    """Readings one after the other, the best first, while any mends what is refuted; and what they leave. What they
-    mend must be within the limit in the end: otherwise they explain nothing."""
+    """Readings one after the other, the best first, while any mends what is refuted; none unless all are mended."""
     said: list[tuple[Reading, list[str], HealthFinding]] = []
     for _ in range(MOST):
         if not any(value > 1.0 for value in before.values()):
@@ -515,8 +513,7 @@ def _strains(terms: dict[str, np.ndarray], odd: dict[str, np.ndarray], signs: np
 
 
 def _own_factor(view: View, recorded: frozenset[str], reading: Reading, before: Misfits, after: Misfits) -> bool:
-    """Whether the factor of a unit agrees with the one that the record itself asks for, which fits best. A smaller
-    number fits better than a wrong one whatever its unit is."""
+    """Whether the factor of a unit agrees with that which fits best: smaller numbers fit better than wrong ones."""
     if reading.factor == 1.0:
         return True
     names = frozenset(n for n in _mended(before, after) if after[n] != before[n])
@@ -537,8 +534,7 @@ def _mended(before: Misfits, after: Misfits) -> list[str]:
 
 
 def _bias(record: FlightRecord, card: Card, view: View, recorded: frozenset[str], left: Misfits) -> Findings:
-    """The mean lateral acceleration that no other reading of a channel explains, unless the card states it. Bank and
-    turn, on which it rests, must not be in doubt. A factor of the airspeed may be a rival."""
+    """The mean lateral acceleration that no other reading explains, unless the card states it or bank is in doubt."""
     if left.get("side", 0.0) <= 1.0 or max(left.get(name, 0.0) for name in ("phi", "psi")) > 1.0:
         return
     terms = terms_of(view, recorded, frozenset({"side"}))["side"]
