@@ -152,26 +152,28 @@ def _between(values: Any, source: str, target: str, given: str, where: str) -> n
     return np.asarray(_convert(np.array(values, dtype=np.float64), source, target, where), dtype=np.float64)
 
 
-def same_unit(one: str, other: str) -> bool | None:
-    """Whether two spellings mean one unit; None where either is none, or a dash beside one that is."""
+def _of_one_kind(one: str, other: str) -> tuple[Any, ...] | None:
+    """Both units; none of them where a quantity cannot be given in either; None where one is no unit at all."""
     try:
         first, second = _pair(one, other, "unit")
     except InputError:
         return None
-    if first.dimensionality != second.dimensionality or _turns(first) != _turns(second):
-        return None if {one.strip().lower(), other.strip().lower()} & _SAYS_NOTHING else False
-    quantity = _registry().Quantity
+    alike = first.dimensionality == second.dimensionality and _turns(first) == _turns(second)
+    return (first, second) if alike else ()
+
+
+def same_unit(one: str, other: str) -> bool | None:
+    """Whether two spellings mean one unit; None where either is none, or a dash beside one that is."""
+    if not (pair := _of_one_kind(one, other)):
+        return None if pair is None or {one.strip().lower(), other.strip().lower()} & _SAYS_NOTHING else False
     # Two points, for scales with an offset such as degC.
+    quantity, (first, second) = _registry().Quantity, pair
     return all(math.isclose(quantity(x, first).to(second).magnitude, x, rel_tol=1e-9) for x in (1.0, 300.0))
 
 
 def same_kind(one: str, other: str) -> bool:
     """Whether a quantity can be given in either unit; False where one is no unit at all."""
-    try:
-        first, second = _pair(one, other, "unit")
-    except InputError:
-        return False
-    return first.dimensionality == second.dimensionality and _turns(first) == _turns(second)
+    return bool(_of_one_kind(one, other))
 
 
 def quantity_to_si(value: Any, expected: str, where: str) -> float:

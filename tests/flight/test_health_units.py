@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from flights import NOISE, UNITS, G, card, changed, flight, smooth
 
-from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.health.air import air_data, derivatives
 from bayes_aero.flight.health.channel import channel_health
@@ -181,14 +180,6 @@ def test_the_records_of_the_book_are_silent_in_their_units_and_tell_others(name)
     assert [(f.channel, f.fault) for f in told] == [(axis[0], "unit")]
 
 
-TRIALS = Path(__file__).parents[2].parent / "shared" / "trials"
-
-
-def told(record, *more, **changes):
-    """(fault, channel) of the grave findings."""
-    return [(f.fault, f.channel) for f in channel_health([record, *more], card(**changes)) if f.grave]
-
-
 FORWARD_LEFT_UP, LATERAL = ("ay", "az", "q", "r", "theta", "psi"), ("phi", "psi", "beta", "p", "r", "ay")
 FLU, AFT = (f"the axes of the sensors are {axes}" for axes in ("x forward, y left, z up", "x aft, y right, z up"))
 AXES = [  # channels that are missing, turned, exchanged; the fault and words of the sentence
@@ -282,20 +273,6 @@ def test_axes_are_named_despite_errors_of_scale_and_never_where_single_signs_are
         assert all(f.fault != "axes" or "sensors" in f.sentence for f in found)
     else:
         assert [m[1] for m in named if m] == ([] if axes == "x forward, y right, z down" else [axes])
-
-
-@pytest.mark.skipif(not TRIALS.is_dir(), reason="the small inputs of a user are not in ../shared/trials")
-def test_the_axes_of_a_simulated_stall_are_named_and_its_elevator_is_not_blamed():
-    """README of the inputs: sensors x forward, y left, z up. Yaw rate and heading turn together there."""
-    attas = read_card("attas")
-    record = read_record(TRIALS / "axes_flu.csv", attas.channels)
-    (finding,) = [f for f in channel_health([record], attas) if f.grave]
-    assert finding.fault == "axes"
-    assert "x forward, y left, z up" in finding.sentence
-    assert set(re.search(r"sign = -1 at ([\w, ]+) on", finding.sentence)[1].split(", ")) == set(FORWARD_LEFT_UP)
-    channels = tuple(replace(c, sign=-1) if c.name in FORWARD_LEFT_UP else c for c in attas.channels)
-    followed = replace(attas, channels=channels)
-    assert channel_health([read_record(TRIALS / "axes_flu.csv", channels)], followed) == ()
 
 
 def test_units_that_are_not_advised():

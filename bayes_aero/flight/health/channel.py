@@ -282,17 +282,22 @@ def held_period(x: np.ndarray) -> float:
     changes = np.flatnonzero(np.diff(x))
     if len(changes) < FEWEST:
         return 0.0
-    lengths = np.diff(changes)
-    middle = float(np.median(lengths))
+    lengths, middle, order, off = _spacing(changes)
     if not 2.0 <= middle <= SLOWEST:
         return 0.0
     # Values may repeat from one true sample to the next, and a ratio of rates that is no integer gives two lengths.
-    order = np.maximum(np.round(lengths / middle), 1.0)
-    like = np.abs(lengths - order * middle) <= (0.0 if middle < 3.0 else 1.0) * order
+    like = off <= (0.0 if middle < 3.0 else 1.0)
     if np.mean(like) < ALIKE or np.mean(order == 1.0) < 0.5 or np.mean(lengths == 1) > 1.0 - ALIKE:
         return 0.0
-    usual = lengths[like & (order == 1.0)]
-    return float(np.mean(usual))
+    return float(np.mean(lengths[like & (order == 1.0)]))
+
+
+def _spacing(at: Sequence[int] | np.ndarray) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+    """Samples from one to the next, their median, how often it goes into each, and what that misses a time."""
+    lengths = np.diff(at)
+    middle = float(np.median(lengths))
+    order = np.maximum(np.round(lengths / middle), 1.0)
+    return lengths, middle, order, np.abs(lengths / order - middle)
 
 
 def interpolated_period(x: np.ndarray) -> float:
@@ -308,13 +313,9 @@ def interpolated_period(x: np.ndarray) -> float:
     corners = [first for first, _ in runs_of(bent)]
     if len(corners) <= CORNERS or bent.sum() > 2.1 * len(corners):  # two samples, where a corner falls between them
         return 0.0
-    lengths = np.diff(corners)
-    middle = float(np.median(lengths))
-    order = np.maximum(np.round(lengths / middle), 1.0)  # a corner may be too flat to be seen
-    like = np.abs(lengths - order * middle) <= order
-    if middle < SPARSE or like.mean() < ALIKE or np.mean(order == 1.0) < 0.5:
-        return 0.0
-    return float(lengths.sum() / order.sum())
+    lengths, middle, order, off = _spacing(corners)  # a corner may be too flat to be seen
+    regular = middle >= SPARSE and np.mean(off <= 1.0) >= ALIKE and np.mean(order == 1.0) >= 0.5
+    return float(lengths.sum() / order.sum()) if regular else 0.0
 
 
 def _between_knots(x: np.ndarray) -> int:
