@@ -190,7 +190,7 @@ WRONG_INPUTS = [
     (put(*LEFT, "from", {}), "from must name one to 3 channels"),
     (put(*LEFT, "from", "n1_left", {"unit": "%", "points": [40, 100, 60]}), "points must be .* increase"),
     (put(*LEFT, "from", "n1_left", {"points": [40, 100, 60]}), "must have unit and points"),
-    (put(*LEFT, "from", {"n1_lft": {"unit": "%", "points": [1, 2]}}), "does not map it; is 'n1_left' there meant"),
+    (put(*LEFT, "from", {"n1_lft": {"unit": "%", "points": [1, 2]}}), "does not map; is 'n1_left' there meant"),
     (put("tables", {"thrust_left": 3}), "must be a table with unit, from and values"),
     (put("tables", {"q": {"unit": "rad/s", "from": {}, "values": []}}), "states q elsewhere, too"),
     (put("derived", "density", "guess"), "write 'gas law' or 'dynamic pressure' or 'standard atmosphere'"),
