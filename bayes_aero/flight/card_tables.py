@@ -239,7 +239,7 @@ def parse_channel(key: str, given: Any, where: str) -> Channel:
     column, label, sign = given.get("column"), given.get("label"), given.get("sign", 1)
     whole = isinstance(column, int) and not isinstance(column, bool) and column >= 1
     refuse(column is not None and not whole, f"{here} has column {column!r}; columns are counted from 1")
-    refuse(whole and column > MOST_COLUMNS, f"{here} has column {column}; no file has more than {MOST_COLUMNS}")
+    refuse((column or 0) > MOST_COLUMNS, f"{here} has column {column}; no file has more than {MOST_COLUMNS}")
     nowhere = column is None and "label" not in given
     refuse(nowhere, f"{here} has neither column nor label; say where it stands in a file")
     odd = isinstance(sign, bool) or sign not in (1, -1)

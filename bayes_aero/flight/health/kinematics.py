@@ -75,7 +75,8 @@ def rates_of(view: View, only: str | None = None) -> dict[str, np.ndarray]:
     v = {name: view.get(name, np.full(n, np.nan)) for name in PATH_NEEDS}
     inputs = v | dict(zip("xyz", down_of(v["phi"], v["theta"]), strict=True))
     part = {name: inputs[name] if only in (None, name) else np.zeros(n) for name in LINEAR}
-    (p, q, r), force, down = (tuple(part[name] for name in LINEAR[k : k + 3]) for k in (0, 3, 6))
+    p, q, r, *forces = part.values()
+    force, down = (forces[0], forces[1], forces[2]), (forces[3], forces[4], forces[5])
     with np.errstate(all="ignore"):
         angles = zip(("phi", "theta", "psi"), euler_rates((p, q, r), v["phi"], v["theta"]), strict=True)
         v |= part

@@ -313,7 +313,7 @@ def ulog(data):
     return found, remarks
 
 
-PARSERS = {"hdf5": hdf5} | {
+PARSERS: dict[str, Any] = {"hdf5": hdf5} | {
     name: lambda data, *limits, parsed=parsed: _described(*parsed(data), *limits)
     for name, parsed in {"dataflash": dataflash, "mdf": mdf4, "ulog": ulog}.items()
 }
