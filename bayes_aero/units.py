@@ -220,7 +220,6 @@ def number(value: float, digits: int = 3) -> str:
 # --- Spellings of units: what files, headings and cards write, as the one spelling that cards are given.
 # Capitals do not matter, except where they tell two units apart: "mPa" and "MPa", "ms" and "Ms", "kN" and "kn".
 
-
 _WORDS: dict[str, str] = {
     "s": "s sec secs second seconds", "min": "min mins minute minutes", "h": "h hr hrs hour hours",
     "ms": "msec msecs millisec millisecs millisecond milliseconds",

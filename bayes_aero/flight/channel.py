@@ -139,7 +139,6 @@ def unit_choices(name: str) -> tuple[str, ...]:
 
 # --- What people call channels and units in the headers of their files.
 
-
 _NAMES: dict[str, str] = {
     "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime "
     "missiontime simtime",

@@ -208,7 +208,6 @@ def unit_in_file(channel: Channel, column: FileColumn, heading: Heading) -> str 
 
 # --- Everything that a file holds, before any card says what it means.
 
-
 MOST_COLUMNS = 20_000  # columns beyond this are not looked at
 PATIENCE = 20.0  # seconds
 
@@ -444,7 +443,6 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
 
 
 # --- The parts of a file that are worth a record of their own: those in flight, and the manoeuvres in them.
-
 
 WINDOW = 2.0  # s over which a control or a rate must move
 PAUSE = 4.0  # s of rest that divide two manoeuvres

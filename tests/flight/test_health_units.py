@@ -350,8 +350,9 @@ def test_no_unit_is_claimed_of_sensors_with_errors_of_scale_bias_and_sign(errors
     assert not {f.fault for f in channel_health([wrong], card())} & none
 
 
-@pytest.mark.parametrize("size", [0.16 * G, -0.16 * G])
-@pytest.mark.parametrize("without", [(), ("beta",), ("psi", "altitude")])
+@pytest.mark.parametrize(("size", "without"), [
+    (0.16 * G, ()), (-0.16 * G, ("beta",)), (0.16 * G, ("psi", "altitude")),
+])  # fmt: skip
 def test_a_mean_lateral_acceleration_is_a_bias_with_its_size(size, without):
     """asin 0.16 is 9.2 deg of tilt; the card that states the bias is left alone."""
     record = changed(flight(0), without=without, ay=flight(0)["ay"] + size)

@@ -35,26 +35,29 @@ LINEAR = ("p", "q", "r", "ax", "ay", "az", "x", "y", "z")
 
 
 class Relation(NamedTuple):
-    """Channels that must be recorded; misfit, SI, that sound records stay below, drift taken out in `piece`s of s."""
+    """Channels that must be recorded, what of `LINEAR` the rate has, and the misfit, SI, that sound records stay below
+    after a constant and a drift are taken out, in pieces of `piece` s where errors of the rate add up too fast."""
 
     needs: tuple[str, ...]
+    parts: tuple[str, ...]
     allowed: float
     piece: float = np.inf
 
 
 _AIR = ("airspeed", "alpha", "theta", "ax", "az")
+_TURNS, _SLIPS = ("p", "q", "r", "ax", "az", "x", "z"), ("p", "r", "ax", "ay", "az", "x", "y", "z")
 RELATIONS: dict[str, Relation] = {
-    "theta": Relation(("theta", "q"), np.deg2rad(1.0)),
-    "phi": Relation(("phi", "p", "q", "theta"), np.deg2rad(2.0)),
-    "psi": Relation(("psi", "q", "r", "theta"), np.deg2rad(3.0)),
-    "altitude": Relation(("altitude", "airspeed", "theta", "alpha"), 6.0),
-    "airspeed": Relation(_AIR, 2.0),
-    "alpha": Relation((*_AIR, "q"), np.deg2rad(1.0), 10.0),
-    "beta": Relation(("beta", "r", "ay", "phi", *_AIR), np.deg2rad(1.5), 10.0),
+    "theta": Relation(("theta", "q"), ("q", "r"), np.deg2rad(1.0)),
+    "phi": Relation(("phi", "p", "q", "theta"), ("p", "q", "r"), np.deg2rad(2.0)),
+    "psi": Relation(("psi", "q", "r", "theta"), ("q", "r"), np.deg2rad(3.0)),
+    "altitude": Relation(("altitude", "airspeed", "theta", "alpha"), ("x", "y", "z"), 6.0),
+    "airspeed": Relation(_AIR, LINEAR[3:], 2.0),
+    "alpha": Relation((*_AIR, "q"), _TURNS, np.deg2rad(1.0), 10.0),
+    "beta": Relation(("beta", "r", "ay", "phi", *_AIR), _SLIPS, np.deg2rad(1.5), 10.0),
 }
-MEANS = {
-    "level": Relation((*_AIR, "q"), 1.5),  # m/s2: a bias of .5 deg/s at 100 m/s and one of .6 m/s2
-    "side": Relation(("ay", "r", "phi", *_AIR), 0.9),  # .3 deg/s at 100 m/s and .4 m/s2, or 2.5 deg of the bank angle
+MEANS = {  # m/s2: biases of .5 deg/s at 100 m/s and .6 m/s2; of .3 deg/s and .4 m/s2, or 2.5 deg of the bank angle
+    "level": Relation((*_AIR, "q"), _TURNS, 1.5),
+    "side": Relation(("ay", "r", "phi", *_AIR), _SLIPS, 0.9),
 }
 """The mean normal and lateral acceleration, which the rate of alpha and of beta times the airspeed must make."""
 SHORTEST = 25  # samples of a piece
@@ -103,11 +106,12 @@ def terms_of(
     parts: Sequence[str | None] = LINEAR,
 ) -> dict[str, np.ndarray]:
     """Terms (k, n) whose sum a relation leaves, over what is allowed: the channel, and what each of `parts` makes."""
-    rates, time, terms = [rates_of(view, part) for part in parts], view["time"], {}
+    by_part, time, terms = {part: rates_of(view, part) for part in parts}, view["time"], {}
     with np.errstate(all="ignore"):
         for name, relation in (RELATIONS | MEANS).items():
             if not set(relation.needs) <= recorded or (names is not None and name not in names):
                 continue
+            rates = [rates for part, rates in by_part.items() if part is None or part in relation.parts]
             if name in MEANS:
                 terms[name] = _mean_terms(name, view, recorded, rates)
                 continue

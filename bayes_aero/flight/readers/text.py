@@ -116,7 +116,6 @@ def _lines(data: bytes) -> Lines:
 # are what repeats: they are looked for first, in the lower part of the file, and the header is what stands above
 # them.
 
-
 T = TypeVar("T")
 
 CELL = "\x1f"  # between the cells of lines that were quoted: ASCII's own separator, which no text holds
@@ -308,7 +307,6 @@ def _names_and_units(header: Sequence[Sequence[str]], width: int) -> tuple[list[
 
 # --- Cells of text to numbers: decimal commas, thousands separators, Fortran's exponents, blanks.
 
-
 BLANKS = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "nd", "invalid"))
 """What recorders and their tools write where there is no value, in lower case; also a cell of asterisks (Fortran)."""
 
@@ -402,7 +400,6 @@ def number_of(cell: str, marks: Marks) -> float:
 
 
 # --- Clock times and dates to seconds since the first sample.
-
 
 DAY = 86400.0
 _TIME = re.compile(r"(?:\d{1,3}:)?\d{1,2}:\d{1,2}(?::\d{1,2})?(?:[.,]\d*)?")
