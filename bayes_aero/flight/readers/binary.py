@@ -117,11 +117,6 @@ def log_reader(
     return opens
 
 
-def _no_dataflash(data: bytes) -> str:
-    there = b"\xa3\x95" in data[:600]
-    return "" if there else "it is not an ArduPilot DataFlash log (no message begins near its start); is it misnamed?"
-
-
 def _no_mdf(data: bytes) -> str:
     if data[:8] not in (b"MDF     ", b"UnFinMF "):
         return "it is not an MDF file (its first bytes differ); is it misnamed?"
@@ -133,20 +128,23 @@ def _no_mdf(data: bytes) -> str:
     )
 
 
-def _no_ulog(data: bytes) -> str:
-    there = data.startswith(b"ULog\x01\x12\x35")
-    return "" if there else "it is not a PX4 ULog file (its first bytes differ); is it misnamed?"
-
-
 # A column is a field of a message, "ATT.Roll": instances go by their number, "IMU[1].GyrX", and an only one also by
 # "IMU.GyrX". Source: ArduPilot, AP_Logger: FMT, FMTU, UNIT and MULT messages describe all others.
-open_dataflash = log_reader(".bin", "pymavlink", "dataflash", "DataFlash log", "field", 1e-6, _no_dataflash)
+NO_DATAFLASH = "it is not an ArduPilot DataFlash log (no message begins near its start); is it misnamed?"
+open_dataflash = log_reader(
+    ".bin", "pymavlink", "dataflash", "DataFlash log", "field", 1e-6,
+    lambda data: "" if b"\xa3\x95" in data[:600] else NO_DATAFLASH,
+)  # fmt: skip
 # A column is a signal of a channel group: "group/name" and, where no other group has one of its name, its name alone.
 # Source: ASAM MDF 4.1, section 4: one channel group has one master channel.
 open_mdf = log_reader(".mf4", "asammdf", "mdf", "MDF file", "signal", 1e-9, _no_mdf)
 # A column is a field of a topic, "vehicle_attitude.q[0]"; a second instance of a topic goes by its number:
 # "sensor_accel.1.x". Source: PX4 ULog file format, version 1.
-open_ulog = log_reader(".ulg", "pyulog", "ulog", "ULog file", "field", 1e-6, _no_ulog)
+NO_ULOG = "it is not a PX4 ULog file (its first bytes differ); is it misnamed?"
+open_ulog = log_reader(
+    ".ulg", "pyulog", "ulog", "ULog file", "field", 1e-6,
+    lambda data: "" if data.startswith(b"ULog\x01\x12\x35") else NO_ULOG,
+)  # fmt: skip
 
 
 # --- Files of named arrays: HDF5, NetCDF, MATLAB, Parquet.
@@ -387,21 +385,22 @@ def open_parquet(data: bytes) -> OpenedFile:
             listed.append(Variable(field.name, (field.name,), (rows,), unit, "" if fits else f"{problem}time stamps"))
 
     def load(places: Places) -> dict[str, np.ndarray]:
+        columns = {}
         with foreign("Parquet file"):
             table = file.read(columns=[key for key, _ in places.values()], use_threads=False)
-            return {name: _column(table.column(key), name) for name, (key, _) in places.items()}
+            for name, (key, _) in places.items():
+                values = table.column(key)
+                if pa.types.is_timestamp(values.type):
+                    stamps = values.to_numpy().astype("datetime64[ns]")
+                    first = stamps[~np.isnat(stamps)][:1]
+                    elapsed = (stamps - first) / np.timedelta64(1, "s") if len(first) else np.full(len(stamps), np.nan)
+                    columns[name] = elapsed
+                else:
+                    numbers = values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+                    columns[name] = vector(numbers, name)
+        return columns
 
     return named_arrays(listed, load, "column", numbered=True)
-
-
-def _column(values: Any, name: str) -> np.ndarray:
-    import pyarrow as pa
-
-    if not pa.types.is_timestamp(values.type):
-        return vector(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), name)
-    stamps = values.to_numpy().astype("datetime64[ns]")
-    first = stamps[~np.isnat(stamps)][:1]
-    return (stamps - first) / np.timedelta64(1, "s") if len(first) else np.full(len(stamps), np.nan)
 
 
 # --- Excel workbooks (.xlsx), read by openpyxl: the first sheet that holds a table, laid out as a text table is.
