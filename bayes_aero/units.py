@@ -177,11 +177,8 @@ def same_kind(one: str, other: str) -> bool:
 
 
 def quantity_to_si(value: Any, expected: str, where: str) -> float:
-    """A constant written with its unit, such as "17631 kg", as a number in `expected` (an SI unit).
-
-    A bare number is accepted for a dimensionless constant only: a mass without unit is how a pound slips in.
-    `where` says which constant it is, for the error message.
-    """
+    """A constant with its unit, "17631 kg", in `expected`, SI. A bare number only without dimension: a mass without
+    unit is how a pound slips in."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise InputError(f'{where} is {str(value)[:60]!r}; write a number with its unit, e.g. "1.5 {expected}"')
     match = _NUMBER.fullmatch(str(value))

@@ -13,25 +13,14 @@ from bayes_aero.units import canonical, from_si, si_unit, spellings
 
 @dataclass(frozen=True)
 class Channel:
-    """Where a channel stands in a file and in which unit.
+    """Where a channel stands in a file, in which unit, and which way it counts there."""
 
-    Attributes:
-        name: the channel inside the program, e.g. "alpha"; in SI there.
-        unit: the unit in the file, e.g. "deg".
-        label: its name in files with headers (.csv .mat .parquet .nc); without one, `name` is looked for.
-        column: its column, counted from 1, in files without a header (.asc).
-        required: whether a file without it is refused. A channel that is not required is left out of the
-            record.
-        sign: -1 where the file counts the other way: a load factor that is positive upward for az, an
-            elevator that is positive trailing edge up.
-    """
-
-    name: str
-    unit: str
-    label: str | None = None
-    column: int | None = None
-    required: bool = True
-    sign: int = 1
+    name: str  # inside the program, "alpha"; in SI there
+    unit: str  # in the file, "deg"
+    label: str | None = None  # in files with headers (.csv .mat .parquet .nc); without one, `name` is looked for
+    column: int | None = None  # counted from 1, in files without a header (.asc)
+    required: bool = True  # else a file may lack it, and the record then does
+    sign: int = 1  # -1 where the file counts the other way: a load factor upward for az, an elevator trailing edge up
 
     @property
     def heading(self) -> str:

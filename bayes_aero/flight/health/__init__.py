@@ -170,9 +170,8 @@ def noise_alone(x: np.ndarray, *parts: np.ndarray) -> bool:
 
 
 def quantum_of(x: np.ndarray) -> float:
-    """The step in which (n,) samples are recorded; zero if they are continuous. Channels computed from a quantised one
-    (airspeed from a pressure) move a little between its steps: steps below a tenth of the large ones are not counted
-    where they are many."""
+    """The step in which (n,) samples are recorded; zero if they are continuous. Small steps between those of a channel
+    computed from a quantised one (airspeed from a pressure) are not counted."""
     steps = np.abs(np.diff(x))
     if not np.any(steps > 0.0):
         return 0.0
@@ -345,9 +344,8 @@ class Departure:
 
 @dataclass(frozen=True)
 class PathCheck:
-    """One record: where it departs, and the root mean square left of each channel with what is permitted. `turbulence`
-    (m/s) is the standard deviation of gusts that was permitted, `gusts` the one that the record shows; `assumed` are
-    channels that were not recorded and taken as zero."""
+    """One record: where it departs, what is left of each channel (rms) and permitted. `turbulence`: gusts that were
+    permitted, m/s, `gusts`: those that it shows; `assumed`: channels taken as zero."""
 
     record: str
     departures: tuple[Departure, ...]
@@ -359,12 +357,9 @@ class PathCheck:
 
 @dataclass(frozen=True)
 class OpenError:
-    """An error of a sensor that the flight path cannot decide on, SI.
-
-    `asked`: it would explain much of what is left, but parts of the record that were left out do not confirm it.
-    `joint`: other errors that were added together with it, and the correlation of both estimates, where one of them is
-    larger than sensors have: none of them holds by itself, and none is corrected.
-    """
+    """An error of a sensor that the flight path cannot decide on, SI. `asked`: it would explain much, but parts of the
+    record that were left out do not confirm it. `joint`: errors that were added with it, and the correlation, where one
+    of them is larger than sensors have: none holds by itself."""
 
     name: str  # of the effect, which has one parameter
     unit: str  # of that parameter
@@ -379,11 +374,8 @@ class OpenError:
 
 @dataclass(frozen=True)
 class Consistency:
-    """The flight path of each record as recorded, and with known errors of sensors taken out.
-
-    `errors` of sensors and winds found along it: claim, whether minor, parameters, and `joint`, others with the
-    correlation of the estimates, of which none holds without the other.
-    """
+    """The flight path of each record as recorded, and with `errors` of sensors and winds taken out: claim, whether
+    minor, parameters, and `joint`, others of which none holds without the other."""
 
     why_not: str = ""  # nothing was checked; empty where it was
     unchecked: tuple[str, ...] = ()  # channels that could not be checked, for they were not recorded

@@ -172,9 +172,8 @@ def _cut_off(x: np.ndarray, run: tuple[int, int]) -> bool:
 
 
 def _frozen_control(record: FlightRecord, name: str, x: np.ndarray) -> list[tuple[int, int]]:
-    """Runs in which a deflection that scatters elsewhere does not, or that the aircraft answers as if it moved. A
-    surface may rest, at a stop or where the pilot holds it, a flap in a detent, a lever where it was set: equal samples
-    say nothing of a clean or coarsely rounded signal, unless a surface about pitch, roll or yaw moved there."""
+    """Runs in which a deflection that scatters elsewhere does not, or that the aircraft answers as if it moved: a
+    surface may rest, so that equal samples say nothing of a clean or coarsely rounded signal."""
     runs = [run for run in still_runs(x) if (run[1] - run[0]) * record.dt >= SHORTEST]
     moving = np.delete(x, np.concatenate([np.arange(first, last + 1) for first, last in runs] or [[]]).astype(int))
     share = float(np.mean(np.diff(moving) == 0.0)) if len(moving) > SHORTEST / record.dt else 1.0
@@ -320,10 +319,9 @@ def interpolated_period(x: np.ndarray) -> float:
 
 def _between_knots(x: np.ndarray) -> int:
     """The largest whole period of straight lines between every so many of (n,) values; zero where there is none.
-    Rounding moves no sample by more than a step from the line between two others. So the samples lie within a step of
-    the lines between knots. They lie further from lines between the samples halfway. By chance `ENDS` lines are all of
-    the second kind once in 2 to the power of `ENDS`. A smooth signal departs from both kinds or from neither. Knots
-    between samples are not sought: under coarse rounding such a signal is not found."""
+    Rounding moves no sample by more than a step from the line between two others: samples lie that near the lines
+    between knots, and further from those between the samples halfway. By chance `ENDS` lines are all of the second kind
+    once in 2 to the power of `ENDS`. Knots between samples are not sought."""
     best, step = 0, quantum(x)
     for period in range(2, min(SLOWEST, len(x) // FEWEST) + 1):
         lag = period // 2

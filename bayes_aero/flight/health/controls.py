@@ -102,12 +102,10 @@ def control_responses(record: FlightRecord, card: Card) -> Findings:
 
 
 def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
-    """Whether the aircraft turns in a run of samples as if a surface moved that stands still there. The angular
-    acceleration is fitted to the surface, the others about that axis and the motion where the surface moves. In the run
-    it must miss what only a deflection of `UNSEEN` makes, and more than where the surface was recorded, in flight that
-    is less than the fitted range beyond it. A surface about the pitch axis is also told as one without any signal is,
-    in the run alone. An aileron or a rudder is not told where less than about 8 s are left in which it moves: gusts
-    roll and yaw an aircraft, too."""
+    """Whether the aircraft turns in a run of samples as if a surface moved that stands still there: the angular
+    acceleration, fitted where the surface moves, must miss what only a deflection of `UNSEEN` makes, in flight that is
+    less than the fitted range beyond it. An aileron or a rudder is not told where less than about 8 s are left in which
+    it moves: gusts roll and yaw an aircraft, too."""
     control = next((c for c in (ELEVATOR, *LATERAL) if name in TURNS[c.surface]), None)
     if control is None or (run[1] - run[0]) * record.dt < LONGEST_REST:
         return False
@@ -130,9 +128,8 @@ def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bo
 
 
 def answers_no_input(record: FlightRecord) -> bool:
-    """Whether the aircraft pitches as neither motion nor a surface that moves explains. A rudder or an aileron may well
-    be left alone. A manoeuvre may be a small part of the record, and a stall is not linear over the whole: each stretch
-    is fitted by itself. Products of p and r turn the nose by inertia."""
+    """Whether the aircraft pitches as neither motion nor a surface that moves explains. Each stretch is fitted by
+    itself: a stall is not linear over the whole. Products of p and r turn the nose by inertia."""
     stretch = round(4.0 * SLOW / record.dt)
     if not all(map(record.has, ELEVATOR.beside)) or record.n < stretch:
         return False
@@ -205,10 +202,9 @@ def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, in
 
 
 def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
-    """Findings for surfaces that follow the outputs, to within noise, in every record in which they move. Then the law
-    of the feedback fits the record as well as the aircraft does. A slow manoeuvre, in which the surface only trims, is
-    no better. A pilot's input beside the feedback in one of the records separates the two. Source: L. Ljung, System
-    Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft)."""
+    """Findings for surfaces that follow the outputs, to within noise, in every record in which they move: the law of
+    the feedback fits as well as the aircraft does. A pilot's input beside it separates the two. Source: L. Ljung,
+    System Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft)."""
     if card.linear is not None:
         surfaces = [name for name in card.linear.inputs if name in CONTROLS]
     else:
@@ -231,10 +227,8 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
 
 
 def law_of(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str] | None:
-    """The outputs that a surface follows and how much of its motion is left; no outputs where it has its own. Integrals
-    of the outputs are tried where the outputs themselves do not make the motion and the record is long enough; then
-    both between limits of the surface. None where the surface drifts or decays at most, or the record is too short to
-    tell."""
+    """The outputs that a surface follows (none where it has its own motion) and how much of its motion is left; None
+    where it drifts or decays at most, or the record is too short. Integrals and limits are tried where they must be."""
     u = _deflection(surface, record)
     recorded = [n for n in dict.fromkeys((*OUTPUTS, *(card.linear.states if card.linear else ()))) if record.has(n)]
     moved = [n for n in recorded if np.ptp(record[n]) > 0.0 and not noise_alone(record[n])]

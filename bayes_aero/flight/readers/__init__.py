@@ -41,17 +41,9 @@ class Heading:
 
 @dataclass(frozen=True)
 class OpenedFile:
-    """A file whose columns are known and whose values are still to be read. All columns have the same length.
-
-    Attributes:
-        headings: all columns, in the file's order.
-        read: gives the values of some headings, each under the name of the channel that it was taken for. A column of
-            several rates has NaN at the samples that it lacks. Raises InputError, in words of the channel, where its
-            values are no numbers.
-        kind: what a column is called there: "column", "variable".
-        remarks: how the file was understood, where it could be read in more than one way; one sentence each. Reading
-            may add to them.
-    """
+    """A file whose columns are known, of one length, and whose values are still to be read. `read` gives those of some
+    headings, each under the name of the channel that it was taken for; NaN at samples that a column of several rates
+    lacks. `kind`: what a column is called there. `remarks`: how the file was understood; reading may add to them."""
 
     headings: Sequence[Heading]
     read: Callable[[Mapping[str, Heading]], dict[str, FileColumn]]
@@ -92,8 +84,7 @@ class HeadingIndex:
         self.by_column = {heading.column: heading for heading in headings if heading.column is not None}
 
     def candidates(self, channel: Channel) -> list[Heading]:
-        """The headings of a channel's name; without one the column of its number. A label on the card that names no
-        column of a file with names is a mistake, whatever number stands beside it."""
+        """The headings of a channel's name; else its number, unless the card has a label that names none."""
         numbered = None if channel.column is None else self.by_column.get(channel.column)
         usable = numbered is not None and (channel.label is None or not numbered.names or numbered.formed)
         return self.by_name.get(channel.heading) or ([numbered] if usable and numbered is not None else [])
@@ -274,9 +265,8 @@ class SampleGroup:
 
 
 def several_rates(kind: str, groups: Sequence[SampleGroup], remarks: Sequence[str], tick: float) -> OpenedFile:
-    """A file of groups with a sample: time first, then every column, no two with the same first name. `kind` is what a
-    column is called there, `tick` the resolution of its time stamps, s: stamps that differ by less than half of it are
-    the same instant."""
+    """A file of groups: time first, then every column, no two with the same first name. `kind`: what a column is
+    called; `tick`: resolution of the stamps, s."""
     headings, places, taken = [TIME], dict[Heading, tuple[SampleGroup, Series]](), {"time"}
     for group in groups:
         for series in group.series if len(group.time) else ():

@@ -433,9 +433,8 @@ def open_excel(data: bytes) -> OpenedFile:
 
 
 def rows_of(data: bytes) -> tuple[Rows, list[str]]:
-    """The first sheet with a table, and which one it is where there are several. Numbers come as Python writes them,
-    dates and times of day in ISO 8601, durations in seconds. Raises InputError: no workbook, or one that claims more
-    than a record can hold."""
+    """The first sheet with a table, and which one it is. Numbers come as Python writes them, dates and times of day in
+    ISO 8601, durations in seconds. Raises InputError: no workbook, or more than a record can hold."""
     require(".xlsx", "openpyxl", "defusedxml")  # openpyxl takes defusedxml, against XML bombs, only where it is there
     if data.startswith(_OLD):
         raise InputError("it is a workbook of Excel 97 to 2003, or one with a password; save it as .xlsx without one")
