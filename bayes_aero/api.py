@@ -32,7 +32,7 @@ from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.checks import check_arrays, without_bad_options
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency import coefficients_in_band

@@ -43,10 +43,8 @@ def beside(target: Path) -> Path:
 
 
 def put_folder(made: Path, target: Path) -> None:
-    """Give a folder that is complete its name, in place of what was there; first it is on the disk, then it is named.
-
-    Between the two renames a kill leaves what was there under a hidden name; `sweep` puts it back.
-    """
+    """Give a folder that is complete its name, once it is on the disk, in place of what was there. Between the two
+    renames a kill leaves that under a hidden name; `sweep` puts it back."""
     for path in (*sorted(made.rglob("*"), reverse=True), made):  # files, their folders, and itself
         sync(path)
     aside = made.with_suffix(f".{OLD}")

@@ -182,8 +182,7 @@ class Effect:
 
 @cache
 def sized(effect: Effect, card: Lengths) -> Effect:
-    """The effect with its sizes in the reference lengths of a card, those in metres as large as its span; always the
-    same object, for models are hashed."""
+    """The effect with its sizes in the reference lengths of a card; always the same object, for models are hashed."""
     span = card.span if effect.disturbance is None else 1.0  # gusts are no part of the aircraft
     times = {p.name: card.times(p) * (span if p.unit == "m" else 1.0) for p in effect.parameters}
     if all(x == 1.0 for x in times.values()):
@@ -203,8 +202,7 @@ def parameter(
     start: float | None = None,
     **fields: Any,
 ) -> tuple[Parameter, tuple[float, float]]:
-    """A parameter of `effect`, and its sizes; see `Parameter` for its fields and `Effect` for the sizes. It starts at
-    neutral unless `start` is given."""
+    """A parameter of `effect`, and its sizes; see `Parameter` and `Effect`. It starts at neutral unless told."""
     start = neutral if start is None else start
     return Parameter(name, unit, neutral, start, description, prior, bounds, **fields), sizes
 
@@ -222,11 +220,7 @@ def effect(
     channels: tuple[str, ...] | None = None,
     **fields: Any,
 ) -> Effect:
-    """An effect as one entry of a table; see `Effect` for these and its further `fields`.
-
-    Unless `channels` are given, it needs the signals of its example. Parameters of its example that it does not own
-    are those that it `uses`.
-    """
+    """An effect as one entry of a table (see `Effect`); it needs the signals and uses the parameters of its example."""
     own = {p.name: sizes for p, sizes in parameters}
     return Effect(
         name, kind, stage, claim, tuple(p for p, _ in parameters),

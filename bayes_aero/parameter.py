@@ -34,10 +34,7 @@ class Length(StrEnum):
 
 @dataclass(frozen=True)
 class Lengths:
-    """How often a card's reference length goes into the usual one: chord, half span and span of `Length`.
-
-    `span`: the aircraft's, over that of the transport for which the catalogue states sizes in metres.
-    """
+    """How often a card's reference length goes into the usual one; `span`: over that of the catalogue's transport."""
 
     rate: float = 1.0
     lateral_rate: float = 1.0
@@ -210,11 +207,7 @@ def per_length(parameter: Parameter, card: Lengths) -> Parameter:
 
 
 def departure(value: float, neutral: float) -> float:
-    """How far a parameter is from neutral, in steps along the tangent at its value.
-
-    Where neutral is at infinity, what the parameter does goes with its reciprocal: along the tangent it ends at twice
-    the value.
-    """
+    """How far a parameter is from neutral along the tangent at its value; of its reciprocal where that is infinite."""
     return value - neutral if math.isfinite(neutral) else -value
 
 

@@ -94,11 +94,7 @@ def _pair(one: str, other: str, where: str) -> tuple[Any, Any]:
 
 
 def canonical(text: str, si: str | None = None) -> str | None:
-    """A unit as cards spell it, whatever a file calls it: "FT/SEC" is "ft/s", "slugs/ft3" is "slug/ft^3".
-
-    `si`, the unit of the quantity, decides where a word has two meanings ("lbs" of a thrust is "lbf"). None where the
-    text is no unit.
-    """
+    """A unit as cards spell it ("FT/SEC": "ft/s"), of the kind of `si` if it has two meanings; None if it is none."""
     found = _meanings(text) if text.strip() else ()
     if si is not None and len(found) > 1:
         wanted = _known(si, "unit")[0].dimensionality
@@ -156,37 +152,33 @@ def _between(values: Any, source: str, target: str, given: str, where: str) -> n
     return np.asarray(_convert(np.array(values, dtype=np.float64), source, target, where), dtype=np.float64)
 
 
-def same_unit(one: str, other: str) -> bool | None:
-    """Whether two spellings mean one unit; None where either is no unit at all (files say many things).
-
-    A dash says nothing of a quantity that has a unit.
-    """
+def _of_one_kind(one: str, other: str) -> tuple[Any, ...] | None:
+    """Both units; none of them where a quantity cannot be given in either; None where one is no unit at all."""
     try:
         first, second = _pair(one, other, "unit")
     except InputError:
         return None
-    if first.dimensionality != second.dimensionality or _turns(first) != _turns(second):
-        return None if {one.strip().lower(), other.strip().lower()} & _SAYS_NOTHING else False
-    quantity = _registry().Quantity
+    alike = first.dimensionality == second.dimensionality and _turns(first) == _turns(second)
+    return (first, second) if alike else ()
+
+
+def same_unit(one: str, other: str) -> bool | None:
+    """Whether two spellings mean one unit; None where either is none, or a dash beside one that is."""
+    if not (pair := _of_one_kind(one, other)):
+        return None if pair is None or {one.strip().lower(), other.strip().lower()} & _SAYS_NOTHING else False
     # Two points, for scales with an offset such as degC.
+    quantity, (first, second) = _registry().Quantity, pair
     return all(math.isclose(quantity(x, first).to(second).magnitude, x, rel_tol=1e-9) for x in (1.0, 300.0))
 
 
 def same_kind(one: str, other: str) -> bool:
     """Whether a quantity can be given in either unit; False where one is no unit at all."""
-    try:
-        first, second = _pair(one, other, "unit")
-    except InputError:
-        return False
-    return first.dimensionality == second.dimensionality and _turns(first) == _turns(second)
+    return bool(_of_one_kind(one, other))
 
 
 def quantity_to_si(value: Any, expected: str, where: str) -> float:
-    """A constant written with its unit, such as "17631 kg", as a number in `expected` (an SI unit).
-
-    A bare number is accepted for a dimensionless constant only: a mass without unit is how a pound slips in.
-    `where` says which constant it is, for the error message.
-    """
+    """A constant with its unit, "17631 kg", in `expected`, SI. A bare number only without dimension: a mass without
+    unit is how a pound slips in."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise InputError(f'{where} is {str(value)[:60]!r}; write a number with its unit, e.g. "1.5 {expected}"')
     match = _NUMBER.fullmatch(str(value))
@@ -224,7 +216,6 @@ def number(value: float, digits: int = 3) -> str:
 
 # --- Spellings of units: what files, headings and cards write, as the one spelling that cards are given.
 # Capitals do not matter, except where they tell two units apart: "mPa" and "MPa", "ms" and "Ms", "kN" and "kn".
-
 
 _WORDS: dict[str, str] = {
     "s": "s sec secs second seconds", "min": "min mins minute minutes", "h": "h hr hrs hour hours",
@@ -277,10 +268,7 @@ _FACTOR = re.compile(r"\s*(/|\*(?!\*)|-(?=[A-Za-z°%])|\.|)\s*([A-Za-z%°']+)((?
 
 @lru_cache(maxsize=2048)
 def spellings(text: str) -> tuple[str, ...]:
-    """What a unit may mean, as cards spell it, the likeliest first; empty where the table does not know it.
-
-    More than one where a word stands for two kinds of quantity: "lbs" is ("lb", "lbf").
-    """
+    """What a unit may mean, as cards spell it, the likeliest first ("lbs": "lb", "lbf"); empty where unknown."""
     plain = text.strip().strip("[](){}<> ").translate(_PLAIN).strip()
     if not plain or len(plain) > _LONGEST:
         return ()

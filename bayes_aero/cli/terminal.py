@@ -23,7 +23,7 @@ from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
     from bayes_aero.flight.card import Card
-    from bayes_aero.flight.health.finding import Consistency, HealthFinding
+    from bayes_aero.flight.health import Consistency, HealthFinding
     from bayes_aero.flight.record import FlightRecord
 
 

@@ -23,7 +23,7 @@ from bayes_aero.diagnosis.selection_state import (
     optimum,
 )
 from bayes_aero.effect import Effect
-from bayes_aero.flight.health.finding import noise_of
+from bayes_aero.flight.health import noise_of
 from bayes_aero.inference.covariance import log_density, log_score_gain, log_score_gains
 from bayes_aero.inference.results import Scores, score
 from bayes_aero.model.records import Flights

@@ -16,7 +16,7 @@ from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage, Untestable, siz
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import noise_alone
+from bayes_aero.flight.health import noise_alone
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior, Role, per_length

@@ -15,7 +15,7 @@ from bayes_aero.diagnosis.candidate_set import moves, noise_channels
 from bayes_aero.diagnosis.result import ProductTerm, TermFactor
 from bayes_aero.diagnosis.screening import autocorrelation_of, chance_of, null_shares
 from bayes_aero.diagnosis.selection_state import Component, RegressionFit, SelectionState, manoeuvre_constants
-from bayes_aero.flight.health.finding import noise_of
+from bayes_aero.flight.health import noise_of
 from bayes_aero.inference.covariance import ORDER
 from bayes_aero.physics.aircraft import LATERAL, Aircraft
 from bayes_aero.physics.kinematics import reduced, reduced_lateral

@@ -42,7 +42,7 @@ from bayes_aero.diagnosis.selection_state import (
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import Agreement, Consistency, Departure, OpenError, PathCheck, noise_of
+from bayes_aero.flight.health import Agreement, Consistency, Departure, OpenError, PathCheck, noise_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import cluster_covariance, nats
 from bayes_aero.model.model import Model, lengths_of, own_effects

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.reading import RecordReport
 from bayes_aero.inference.results import COLOURED_INNOVATIONS, FrequencyFit, FrequencyResponse, OneStep, Scores, Stall
 from bayes_aero.parameter import Parameter

@@ -61,7 +61,7 @@ from bayes_aero.dynamics.trim import Steady, modes
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import channels_of
+from bayes_aero.flight.health import channels_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import (
     OutputErrorResult,

@@ -31,7 +31,6 @@ from bayes_aero.physics.kinematics import (
     Rotation,
     down_of,
     euler_rates,
-    lateral_motion,
     lever_arm,
     motion_of_path,
 )
@@ -142,7 +141,7 @@ class FlightPath(InGusts):
         state = dict(zip(self.states, x, strict=True))
         s, flow = dict(u) | state, self.flow_signals(x, u)
         force = (u["force_x"], u["force_y"], u["force_z"])
-        rates = motion_of_path(s, force) | lateral_motion(s, force)
+        rates = motion_of_path(s, force)
         rates["psi"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
         decay, _ = self.mean_gust_rates(state, flow)
         return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {

@@ -32,7 +32,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.card_tables import ONE, LinearCard
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.readings import dead_heading
+from bayes_aero.flight.health.kinematics import dead_heading
 from bayes_aero.model.model import Model, as_on_card
 from bayes_aero.model.observations import response_scales
 from bayes_aero.model.records import Flights

@@ -59,21 +59,15 @@ def _mean(surface: str) -> Regressor:
     )  # fmt: skip
 
 
+SYMBOLS = {
+    "alpha": "alpha", "beta": "beta", "mach": "Mach", "elevator": "de", "stabilizer": "ih", "canard": "canard",
+    "flap": "flap", "aileron": "da", "rudder": "dr",
+}  # fmt: skip
 REGRESSORS = {
     "1": Regressor("", ("alpha",), lambda c, s, _: c + xp.zeros_like(s["alpha"]), "by definition"),
-    "alpha": _deflection("alpha", "alpha"),
-    "beta": _deflection("beta", "beta"),
-    "mach": _deflection("Mach", "mach"),
-    "elevator": _deflection("de", "elevator"),
-    "stabilizer": _deflection("ih", "stabilizer"),
-    "canard": _deflection("canard", "canard"),
-    "flap": _deflection("flap", "flap"),
-    "aileron": _deflection("da", "aileron"),
-    "rudder": _deflection("dr", "rudder"),
-    "q": _rate("q"),
-    "alpha_dot": _rate("alpha_dot"),
-    "p": _lateral_rate("p"),
-    "r": _lateral_rate("r"),
+    **{channel: _deflection(symbol, channel) for channel, symbol in SYMBOLS.items()},
+    **{channel: _rate(channel) for channel in ("q", "alpha_dot")},
+    **{channel: _lateral_rate(channel) for channel in ("p", "r")},
     "dlc": _mean("dlc"),
     "spoilers": _mean("spoiler"),
     "spoiler difference": Regressor(
@@ -114,19 +108,8 @@ def derivative(
     candidate: bool = True,
     separated: str = "",
 ) -> Effect:
-    """output += parameter x regressor, or x (1 - X) x regressor.
-
-    Args:
-        name: of the effect.
-        claim: see `Effect`.
-        output: what it adds to.
-        by: the regressor, a key of `REGRESSORS`.
-        own: the parameter (see `parameter`).
-        example: value of the parameter, of each signal of the regressor, and of the output.
-        remark: what the formula says beyond that.
-        source, stage, candidate: see `Effect`.
-        separated: the separation point X of the example, as it is written there, of what counts as the flow separates.
-    """
+    """`output` += parameter (`own`) x regressor (`by`), or x (1 - X) where `separated`: X of the example, as it is
+    written. `example`: value of the parameter, of each signal and of the output. `remark`: more of the formula."""
     coefficient, r = own[0].name, REGRESSORS[by]
     value, *signals, result = example
     by_hand, symbol, known = r.by_hand.format(*example), r.symbol, None
@@ -134,7 +117,8 @@ def derivative(
         above, _, below = separated.partition("/")
         known = {"X": float(above) / float(below or 1)}
         by_hand = by_hand.replace(" x ", f" x (1 - {separated}) x ", 1)
-        symbol, source, stage = f"(1 - X) {symbol}", SEPARATED_SHARE, Stage.TOTAL
+        symbol, stage = f"(1 - X) {symbol}", Stage.TOTAL
+        source = SEPARATED_SHARE if source == DERIVATIVE else source
     given = dict(zip(r.signals, signals, strict=True))
     return effect(
         name,

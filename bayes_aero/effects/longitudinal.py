@@ -115,14 +115,11 @@ SIDESLIP_LIFT = derivative(
 
 # Drag: the polar, then the controls, speed and sideslip.
 
-PROFILE_DRAG = effect(
-    "profile_drag", "The aircraft has drag at zero lift.",
-    "CD += CD0.",
-    lambda v, s, *_: {"CD": v["CD0"] + 0.0 * s["alpha"]},
+PROFILE_DRAG = derivative(
+    "profile_drag", "The aircraft has drag at zero lift.", "CD", "1",
     parameter("CD0", "1", "zero-lift drag", Prior("normal", 0.04, 0.05), (0.001, 0.2), start=0.04,
         limits=Limits(0.0, math.inf, "drag without lift cannot be negative"), place=11),
-    example=Example({"CD0": 0.04}, {"alpha": 0.1}, {"CD": 0.04}, "by hand"),
-    source=STALL_MODEL,
+    (0.04, 0.1, 0.04), source=STALL_MODEL,
 )
 
 # Sizes are those of 1/e, which is 0 where e is neutral; CD is linear in it.

@@ -124,28 +124,22 @@ VANE_POSITION = effect(
 )
 
 
-def _airspeed_bias(v: Values, s: Signals, *_: Any) -> Increments:
-    V = s["airspeed"]
-    off = -v["airspeed_bias"] + xp.zeros_like(V)
-    return {"airspeed": off} | ({"mach": s["mach"] * off / V * s.get("mach_follows", 1.0)} if "mach" in s else {})
+def in_proportion(s: Signals, share: Any) -> Increments:
+    """The airspeed times a share, and the Mach number that follows it."""
+    mach = {"mach": s["mach"] * share * s.get("mach_follows", 1.0)} if "mach" in s else {}
+    return {"airspeed": s["airspeed"] * share} | mach
 
 
 AIRSPEED_BIAS = effect(
     "airspeed_bias", "The recorded airspeed is off by a constant.",
     "Recorded = true + airspeed_bias; a Mach number that follows the airspeed is off in proportion.",
-    _airspeed_bias,
+    lambda v, s, *_: in_proportion(s, -v["airspeed_bias"] / s["airspeed"]),
     parameter("airspeed_bias", "m/s", "constant error of the recorded airspeed", Prior("normal", 0.0, 4.0), (0.5, 8.0),
         (-30.0, 30.0)),
     example=Example({"airspeed_bias": 2.0}, {"airspeed": 80.0, "mach": 0.24}, {"airspeed": -2.0, "mach": -0.006},
         "recorded 80, true 78; 0.24 x 2/80; by hand"),
     channels=("airspeed",), source=SENSOR_ERRORS, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
 )
-
-
-def in_proportion(s: Signals, share: Any) -> Increments:
-    """The airspeed times a share, and the Mach number that follows it."""
-    mach = {"mach": s["mach"] * share * s.get("mach_follows", 1.0)} if "mach" in s else {}
-    return {"airspeed": s["airspeed"] * share} | mach
 
 
 AIRSPEED_SCALE = effect(
@@ -219,31 +213,33 @@ SIDESLIP_SCALE = scale("sideslip_scale", "beta", "sideslip", sd=0.1, sizes=(0.02
     example=(0.1, 0.22, -0.02, "recorded 0.22 = 1.1 x 0.2"))
 SIDESLIP_DELAY = delay("sideslip_delay", "beta", "sideslip", RISING, axis=Axis.LATERAL)
 
-SIDESLIP_VANE_POSITION = effect(
-    "sideslip_vane_position",
-    "The sideslip was recorded ahead of the centre of gravity (or behind it, where negative), and still contains "
-    "what yaw rate does there.",
-    "The vane reads beta + x r/V; what yaw rate does there is taken out.",
-    lambda v, s, *_: {"beta": turned(s["beta"], -v["sideslip_vane_position"] * s["r"] / s["airspeed"])},
-    parameter("sideslip_vane_position", "m", "distance of the sideslip sensor ahead of the CG, beyond vane_position",
-        Prior("normal", 0.0, 10.0), (1.0, 20.0), (-40.0, 40.0)),
-    example=Example({"sideslip_vane_position": 8.0}, {"beta": 0.0, "r": 0.05, "airspeed": 80.0},
-        {"beta": -0.004999958333958}, "-arctan(8 x 0.05/80), by hand"),
-    source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, axis=Axis.LATERAL,
-)
 
-SIDESLIP_VANE_HEIGHT = effect(
-    "sideslip_vane_height",
-    "The sideslip was recorded above the centre of gravity (or below it, where negative), and still contains "
-    "what roll rate does there.",
-    "The vane reads beta + h p/V at the height h = -z; what roll rate does there is taken out.",
-    lambda v, s, *_: {"beta": turned(s["beta"], -v["sideslip_vane_height"] * s["p"] / s["airspeed"])},
-    parameter("sideslip_vane_height", "m", "height of the sideslip sensor above the CG", Prior("normal", 0.0, 2.0),
-        (0.5, 10.0), (-20.0, 20.0)),
-    example=Example({"sideslip_vane_height": 2.0}, {"beta": 0.0, "p": 0.2, "airspeed": 80.0},
-        {"beta": -0.004999958333958}, "-arctan(2 x 0.2/80), by hand"),
-    source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, axis=Axis.LATERAL,
-)
+def sideslip_vane(
+    name: str, rate: str, what: str, place: tuple[str, str, str, str], sd: float, sizes: tuple[float, float],
+    example: tuple[float, float, str],
+) -> Effect:
+    """A place of the sideslip sensor, where a rate turns the flow. `place`: in words, where positive, where negative,
+    its symbol, and what the parameter is. `example`: place, m, rate, rad/s, and why."""
+    (there, behind, x, described), (distance, turning, by_hand) = place, example
+    return effect(
+        name,
+        f"The sideslip was recorded {there} the centre of gravity (or {behind} it, where negative), and still contains "
+        f"what {what} rate does there.",
+        f"The vane reads beta + {x[0]} {rate}/V{x[1:]}; what {what} rate does there is taken out.",
+        lambda v, s, *_: {"beta": turned(s["beta"], -v[name] * s[rate] / s["airspeed"])},
+        parameter(name, "m", described, Prior("normal", 0.0, sd), sizes, (-2.0 * sizes[1], 2.0 * sizes[1])),
+        example=Example({name: distance}, {"beta": 0.0, rate: turning, "airspeed": 80.0},
+            {"beta": -0.004999958333958}, by_hand),
+        source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, axis=Axis.LATERAL,
+    )
+
+
+SIDESLIP_VANE_POSITION = sideslip_vane("sideslip_vane_position", "r", "yaw",
+    ("ahead of", "behind", "x", "distance of the sideslip sensor ahead of the CG, beyond vane_position"),
+    10.0, (1.0, 20.0), (8.0, 0.05, "-arctan(8 x 0.05/80), by hand"))
+SIDESLIP_VANE_HEIGHT = sideslip_vane("sideslip_vane_height", "p", "roll",
+    ("above", "below", "h at the height h = -z", "height of the sideslip sensor above the CG"),
+    2.0, (0.5, 10.0), (2.0, 0.2, "-arctan(2 x 0.2/80), by hand"))
 
 # Rates.
 

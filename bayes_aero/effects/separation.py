@@ -88,14 +88,11 @@ KIRCHHOFF_LIFT = effect(
     source="Kirchhoff's theory of free streamlines; Fischenberg and Jategaonkar 1999", stage=Stage.TOTAL,
 )
 
-SEPARATED_DRAG = effect(
-    "separated_drag", "Separated flow adds drag.",
-    "CD += CDX (1 - X).",
-    lambda v, _s, _, known: {"CD": v["CDX"] * (1.0 - known["X"])},
+SEPARATED_DRAG = derivative(
+    "separated_drag", "Separated flow adds drag.", "CD", "1",
     parameter("CDX", "1", "drag of fully separated flow", Prior("normal", 0.1, 0.2), (0.003, 0.4), start=0.05,
         place=13),
-    example=Example({"CDX": 0.08}, {"alpha": 0.2}, {"CD": 0.06}, "0.08 x (1 - 1/4), by hand", known={"X": 0.25}),
-    source=STALL_MODEL, stage=Stage.TOTAL,
+    (0.08, 0.2, 0.06), separated="1/4", source=STALL_MODEL,
 )
 
 
@@ -121,14 +118,11 @@ SEPARATED_INDUCED_DRAG = effect(
     stage=Stage.TOTAL,
 )
 
-SEPARATED_MOMENT = effect(
-    "separated_moment", "Separated flow pitches the aircraft.",
-    "Cm += CmX (1 - X).",
-    lambda v, _s, _, known: {"Cm": v["CmX"] * (1.0 - known["X"])},
+SEPARATED_MOMENT = derivative(
+    "separated_moment", "Separated flow pitches the aircraft.", "Cm", "1",
     parameter("CmX", "1", "pitching moment of fully separated flow", Prior("normal", -0.1, 0.3), (0.005, 0.5),
         start=-0.1, place=35),
-    example=Example({"CmX": -0.12}, {"alpha": 0.2}, {"Cm": -0.09}, "-0.12 x (1 - 1/4), by hand", known={"X": 0.25}),
-    source=STALL_MODEL, stage=Stage.TOTAL,
+    (-0.12, 0.2, -0.09), separated="1/4", source=STALL_MODEL,
 )
 
 # Derivatives that change as the flow separates.

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,9 @@ from bayes_aero.flight.card_tables import (
     ONE,
     FlyCard,
     LinearCard,
+    all_mapped,
     is_file,
     known_keys,
-    like,
     number,
     numbers,
     parse_aircraft,
@@ -32,6 +33,7 @@ from bayes_aero.flight.card_tables import (
     parse_quantity,
     parse_sums,
     read_table,
+    refuse,
     refuse_no_body,
     refuse_unfilled,
     section,
@@ -44,6 +46,7 @@ from bayes_aero.physics.aircraft import NO_AIRCRAFT, Aircraft, Axis, Envelope
 from bayes_aero.units import from_si, instant, si_unit, to_si
 
 MOST_AXES, MOST_VALUES = 3, 10_000
+TABLE_KEYS = ("unit", "from", "values")
 SLACK = 1e-9  # of the axis, for the rounding of a conversion
 _EXAMPLE = 'e.g. from = { n1_left = { unit = "%", points = [30, 60, 100] } }'
 
@@ -107,52 +110,44 @@ class LookupTable:
 
 
 def parse_tables(
-    tables: Mapping[str, Any], channels: tuple[Channel, ...], formed: Mapping[str, Any], where: str
+    tables: Mapping[str, Any], channels: Mapping[str, Channel], formed: Mapping[str, Any], where: str
 ) -> dict[str, LookupTable]:
     """[tables.NAME]; `formed` are channels that the card states otherwise, by [constants] or [derived]."""
-    mapped = {channel.name: channel for channel in channels}
-    found = {}
+    lookups = {}
     for name, given in tables.items():
         here = f"card {where}: [tables.{name}]"
-        if not isinstance(given, dict):
-            raise InputError(f"{here} must be a table with unit, from and values")
-        known_keys(given, ("unit", "from", "values"), where, f"key of [tables.{name}]")
-        for key in ("unit", "from", "values"):
-            if key not in given:
-                raise InputError(f"{here} has no {key}; add it, {_EXAMPLE}")
-        if name in formed or (name in mapped and mapped[name].required):
-            raise InputError(f"{here}: the card states {name} elsewhere, too; keep one of them")
-        if not (isinstance(given["from"], dict) and 1 <= len(given["from"]) <= MOST_AXES):
-            raise InputError(f"{here} from must name one to {MOST_AXES} channels, {_EXAMPLE}")
-        axes = tuple(
-            _parse_axis(key, entry, mapped, formed, where, f"{here} from {key}") for key, entry in given["from"].items()
-        )
-        values = _numbers(given["values"], f"{here} values")
-        shape = tuple(len(axis.points) for axis in axes)
-        if values.shape != shape:
-            wanted = " lists of ".join(str(n) for n in shape)
-            per = "; ".join(f"{len(axis.points)} points of {axis.channel}" for axis in axes)
-            raise InputError(f"{here} values must be {wanted} numbers ({per}), the first channel outermost")
+        refuse(not isinstance(given, dict), f"{here} must be a table with unit, from and values")
+        known_keys(given, TABLE_KEYS, where, f"key of [tables.{name}]")
+        for key in TABLE_KEYS:
+            refuse(key not in given, f"{here} has no {key}; add it, {_EXAMPLE}")
+        twice = name in formed or (name in channels and channels[name].required)
+        refuse(twice, f"{here}: the card states {name} elsewhere, too; keep one of them")
+        entered = isinstance(given["from"], dict) and 1 <= len(given["from"]) <= MOST_AXES
+        refuse(not entered, f"{here} from must name one to {MOST_AXES} channels, {_EXAMPLE}")
+        axes = tuple(_parse_axis(key, entry, channels, formed, where, here) for key, entry in given["from"].items())
+        values, shape = _numbers(given["values"], f"{here} values"), tuple(len(axis.points) for axis in axes)
+        wanted = " lists of ".join(str(n) for n in shape)
+        per = "; ".join(f"{len(axis.points)} points of {axis.channel}" for axis in axes)
+        refuse(values.shape != shape, f"{here} values must be {wanted} numbers ({per}), the first channel outermost")
         unit, standard = str(given["unit"]), STANDARD_CHANNELS.get(name)
         si = standard.unit if standard else si_unit(unit, here)
-        found[name] = LookupTable(name, si, axes, _nested(to_si(values, unit, name, si)))
-    return found
+        lookups[name] = LookupTable(name, si, axes, _nested(to_si(values, unit, name, si)))
+    return lookups
 
 
 def _parse_axis(
-    name: str, given: Any, mapped: Mapping[str, Channel], formed: Mapping[str, Any], where: str, here: str
+    name: str, given: Any, channels: Mapping[str, Channel], formed: Mapping[str, Any], where: str, table: str
 ) -> TableAxis:
-    if isinstance(given, dict):
-        known_keys(given, ("unit", "points"), where, f"key of from {name}")
-    if not isinstance(given, dict) or "unit" not in given or "points" not in given:
-        raise InputError(f"{here} must have unit and points, {_EXAMPLE}")
-    if name not in mapped and name not in formed:
-        raise InputError(f"{here}: [channels] does not map it{like(name, {*mapped, *formed})}")
+    here = f"{table} from {name}"
+    refuse(not isinstance(given, dict), f"{here} must have unit and points, {_EXAMPLE}")
+    known_keys(given, ("unit", "points"), where, f"key of from {name}")
+    refuse("unit" not in given or "points" not in given, f"{here} must have unit and points, {_EXAMPLE}")
+    all_mapped([name], {*channels, *formed}, f"{table.removeprefix('card ')} from has")
     unit = str(given["unit"])
-    si = mapped[name].si if name in mapped else STANDARD_CHANNELS[name].unit
+    si = channels[name].si if name in channels else STANDARD_CHANNELS[name].unit
     points = to_si(_numbers(given["points"], f"{here}: points"), unit, name, si)
-    if points.ndim != 1 or len(points) < 2 or not (np.diff(points) > 0.0).all():
-        raise InputError(f"{here}: points must be two numbers or more, and increase")
+    increase = points.ndim == 1 and len(points) >= 2 and (np.diff(points) > 0.0).all()
+    refuse(not increase, f"{here}: points must be two numbers or more, and increase")
     return TableAxis(name, unit, si, tuple(float(x) for x in points))
 
 
@@ -162,14 +157,13 @@ def _numbers(given: Any, what: str) -> np.ndarray:
         values = np.array(given, dtype=object)
         if values.size > MOST_VALUES or any(isinstance(x, bool) or not isinstance(x, int | float) for x in values.flat):
             raise ValueError
-        numbers = values.astype(np.float64)
+        values = values.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
         raise InputError(
             f"{what} must be a list of plain numbers (rows of one length), {MOST_VALUES} at most"
         ) from None
-    if not np.isfinite(numbers).all():
-        raise InputError(f"{what} must be finite numbers")
-    return numbers
+    refuse(not np.isfinite(values).all(), f"{what} must be finite numbers")
+    return values
 
 
 def _nested(values: np.ndarray) -> tuple[Any, ...]:
@@ -183,6 +177,7 @@ SECTIONS = (
     "parameters", "gp", "tolerances", "output_biases", "segments", "fly", "envelope",
 )  # fmt: skip
 PARAMETER_KEYS = ("start", "bounds", "prior")
+GP_INPUTS = ("alpha", "elevator", "q", "airspeed")
 
 
 @dataclass(frozen=True)
@@ -214,7 +209,7 @@ class Card:
     fixed: Mapping[str, float]
     axes: tuple[Axis, ...] = (Axis.LONGITUDINAL,)
     changes: Mapping[str, CardParameter] = field(default_factory=dict)
-    gp_inputs: tuple[str, ...] = ("alpha", "elevator", "q", "airspeed")
+    gp_inputs: tuple[str, ...] = GP_INPUTS
     constants: Mapping[str, float] = field(default_factory=dict)  # channels that a file may lack, SI
     derived: Mapping[str, str] = field(default_factory=dict)  # channels that a file may lack, and the rule of each
     tables: Mapping[str, LookupTable] = field(default_factory=dict)  # channels that a file may lack, read off tables
@@ -264,38 +259,34 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
     """Check a card's table and turn it into a `Card`; `where` is named in errors."""
     known_keys(table, SECTIONS, where, "section")
     refuse_unfilled(table, where)
-    needed = ("channels",) if "linear" in table else ("aircraft", "channels", "model")
-    for key in needed:
-        if not isinstance(table.get(key), dict):
-            raise InputError(f"card {where}: section [{key}] is missing; see models/attas.toml for one")
-    if "linear" in table and "model" in table:
-        raise InputError(f"card {where}: it has both [model] and [linear]; keep one of them")
+    here, linear = f"card {where}:", None
+    for key in ("channels",) if "linear" in table else ("aircraft", "channels", "model"):
+        lacks = not isinstance(table.get(key), dict)
+        refuse(lacks, f"{here} section [{key}] is missing; see models/attas.toml for one")
+    both = "linear" in table and "model" in table
+    refuse(both, f"{here} it has both [model] and [linear]; keep one of them")
     part = partial(section, table, where=where)
     formed = _channels(part, where)
-    linear = None
+    mapped = {channel.name: channel for channel in formed["channels"]}
     if "linear" in table:
-        names = (c.name for c in formed["channels"])
-        names = {*names, *(n for key in ("constants", "sums", "derived", "tables") for n in formed[key])}
+        names = {*mapped, *(n for key in ("constants", "sums", "derived", "tables") for n in formed[key])}
         linear = parse_linear(table["linear"], names, where)
-    model, effects = {} if linear else table["model"], ()
+    model, effects = part("model"), ()
     if not linear:
         known_keys(model, ("effects", "effect_files", "fixed", "axes"), where, "key of [model]")
-        effects = strings(model.get("effects"), f"card {where}: [model] effects must be a list of effect names")
-    if len(set(effects)) < len(effects):
-        raise InputError(f"card {where}: [model] effects names an effect twice")
-    given, known = model.get("axes", [Axis.LONGITUDINAL.value]), [axis.value for axis in Axis]
-    if not (isinstance(given, list) and given and all(x in known for x in given)):
-        raise InputError(f"card {where}: [model] axes must be a list of {' and '.join(known)}")
-    axes = tuple(axis for axis in Axis if axis in given)
+        effects = strings(model.get("effects"), f"{here} [model] effects must be a list of effect names")
+    refuse(len(set(effects)) < len(effects), f"{here} [model] effects names an effect twice")
+    given, possible = model.get("axes", [Axis.LONGITUDINAL.value]), [axis.value for axis in Axis]
+    listed = isinstance(given, list) and given and all(x in possible for x in given)
+    refuse(not listed, f"{here} [model] axes must be a list of {' and '.join(possible)}")
     aircraft = parse_aircraft(part("aircraft"), where) if "aircraft" in table else NO_AIRCRAFT
-    if Axis.LATERAL in axes:
+    if Axis.LATERAL.value in given:
         refuse_no_body(aircraft, where)
     changes = {key: _parameter(key, value, where) for key, value in part("parameters").items()}
     if linear:
         known_keys(changes, linear.parameters, where, "parameter")
-    gp, said_gp = part("gp"), f"card {where}: [gp] inputs must be a list of signal names"
+    gp = part("gp")
     known_keys(gp, ("inputs",), where, "key of [gp]")
-    gp_inputs = strings(gp.get("inputs", ["alpha", "elevator", "q", "airspeed"]), said_gp)
     bands, said = _of_outputs(part("tolerances"), "tolerances", "half the width of a band is positive", where)
     deviations, source = _of_outputs(part("output_biases"), "output_biases", "a standard deviation is positive", where)
     return Card(
@@ -310,52 +301,53 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         output_biases={key: Prior("normal", 0.0, sd, source, by_card=True) for key, sd in deviations.items()},
         segments=_segments(part("segments"), where),
         effects=effects,
-        axes=axes,
+        axes=tuple(axis for axis in Axis if axis in given),
         effect_files=_files(model.get("effect_files", []), where),
         fixed=numbers(model.get("fixed", {}), f"{where}: [model] fixed"),
         changes=changes,
-        gp_inputs=gp_inputs,
+        gp_inputs=strings(gp.get("inputs", [*GP_INPUTS]), f"{here} [gp] inputs must be a list of signal names"),
         linear=linear,
-        fly=parse_fly(part("fly"), formed["channels"], where),
+        fly=parse_fly(part("fly"), mapped, where),
         **formed,
     )
 
 
 def _channels(part: Callable[[str], Mapping[str, Any]], where: str) -> dict[str, Any]:
-    """The sections that say where channels come from, by their fields of `Card`."""
-    channels = tuple(parse_channel(key, value, where) for key, value in part("channels").items())
-    constants = parse_constants(part("constants"), channels, where)
-    derived = parse_derived(part("derived"), channels, constants, where)
-    tables = parse_tables(part("tables"), channels, {**constants, **derived}, where)
-    sums = parse_sums(part("sums"), channels, constants, (*derived, *tables), where)
-    for name in (*derived, *tables):
-        if name in sums:
-            raise InputError(f"card {where}: {name} is in [sums] and in [derived] or [tables]; keep one of them")
-    return {"channels": channels, "constants": constants, "derived": derived, "tables": tables, "sums": sums}
+    """The sections that say where channels come from, by their fields of `Card`; no channel may be in two of them."""
+    mapped = {key: parse_channel(key, value, where) for key, value in part("channels").items()}
+    constants = parse_constants(part("constants"), mapped, where)
+    derived = parse_derived(part("derived"), mapped, where)
+    tables = parse_tables(part("tables"), mapped, {**constants, **derived}, where)
+    sums = parse_sums(part("sums"), {*mapped, *constants, *derived, *tables}, where)
+    sections = {"sums": sums, "constants": constants, "derived": derived, "tables": tables}
+    for (one, names), (other, others) in combinations(sections.items(), 2):
+        for key in set(names) & set(others):
+            raise InputError(f"card {where}: {key} is both in [{one}] and in [{other}]; keep one of them")
+    return {"channels": tuple(mapped.values()), **sections}
 
 
 def _files(given: Any, where: str) -> tuple[Path, ...]:
     """Paths as the card gives them, relative to its own folder."""
-    names = strings(given, f"card {where}: [model] effect_files must be a list of paths of Python files", empty=True)
+    here = f"card {where}: [model] effect_files"
+    names = strings(given, f"{here} must be a list of paths of Python files", empty=True)
     for name in names:
-        if not name.isprintable() or not name.strip():
-            raise InputError(f"card {where}: [model] effect_files has {name!r}, which is no path of a Python file")
+        refuse(not name.isprintable() or not name.strip(), f"{here} has {name!r}, which is no path of a Python file")
     try:
         return tuple((Path(where).parent / name).resolve() for name in names)
     except OSError as error:
-        raise InputError(f"card {where}: [model] effect_files cannot be found ({error}); correct the path") from None
+        raise InputError(f"{here} cannot be found ({error}); correct the path") from None
 
 
 def _segments(table: Mapping[str, Any], where: str) -> dict[str, tuple[str, ...]]:
     """[segments]: the manoeuvres that a file of this name holds, each as "FROM:TO" in seconds of its time."""
     for name, parts in table.items():
-        said = f'card {where}: [segments] {name} must be a list of parts, e.g. ["12.5:40", "61:85"]'
-        for part in strings(parts, said):
-            if segment_of(f"{name}@{part}").whole:
-                raise InputError(
-                    f"card {where}: [segments] {name} has {part!r}; write FROM:TO in seconds of the file's time, e.g. "
-                    '"12.5:40", or "#2" for the second part between gaps'
-                )
+        here = f"card {where}: [segments] {name}"
+        for part in strings(parts, f'{here} must be a list of parts, e.g. ["12.5:40", "61:85"]'):
+            refuse(
+                segment_of(f"{name}@{part}").whole,
+                f"{here} has {part!r}; write FROM:TO in seconds of the file's time, e.g. "
+                '"12.5:40", or "#2" for the second part between gaps',
+            )
     return {name: tuple(parts) for name, parts in table.items()}
 
 
@@ -363,8 +355,8 @@ def _quantities(table: Mapping[str, Any], name: str, rule: str, where: str) -> d
     """Quantities of channels, SI, none negative, and none zero where the `rule` is of what is positive."""
     quantities = {key: parse_quantity(key, value, name, where) for key, value in table.items()}
     for key, value in quantities.items():
-        if not (value > 0.0 or (value == 0.0 and not rule.endswith("positive"))):
-            raise InputError(f"card {where}: [{name}] {key} is {table[key]!r}; {rule}")
+        sound = value > 0.0 or (value == 0.0 and not rule.endswith("positive"))
+        refuse(not sound, f"card {where}: [{name}] {key} is {table[key]!r}; {rule}")
     return quantities
 
 
@@ -375,13 +367,12 @@ def _of_outputs(table: Mapping[str, Any], name: str, rule: str, where: str) -> t
 
 
 def _parameter(key: str, given: Any, where: str) -> CardParameter:
-    if not isinstance(given, dict):
-        raise InputError(f"card {where}: [parameters.{key}] must be a table")
+    label = f"{where}: [parameters.{key}]"
+    refuse(not isinstance(given, dict), f"card {label} must be a table")
     known_keys(given, PARAMETER_KEYS, where, f"key of [parameters.{key}]")
     bounds = given.get("bounds")
-    if bounds is not None and not (isinstance(bounds, list) and len(bounds) == 2):
-        raise InputError(f"card {where}: [parameters.{key}] bounds must be [lower, upper]")
-    label = f"{where}: [parameters.{key}]"
+    pair = isinstance(bounds, list) and len(bounds) == 2
+    refuse(bounds is not None and not pair, f"card {label} bounds must be [lower, upper]")
     return CardParameter(
         start=None if "start" not in given else number(given["start"], label),
         bounds=None if bounds is None else (number(bounds[0], label), number(bounds[1], label)),
@@ -390,12 +381,10 @@ def _parameter(key: str, given: Any, where: str) -> CardParameter:
 
 
 def _prior(given: Any, label: str) -> Prior:
-    if not isinstance(given, dict):
-        raise InputError(f"card {label} prior must be a table with family, location, scale and source")
+    refuse(not isinstance(given, dict), f"card {label} prior must be a table with family, location, scale and source")
     known_keys(given, ("family", "location", "scale", "source"), label, "key of prior")
     for key in ("family", "location", "scale"):
-        if key not in given:
-            raise InputError(f"card {label} prior has no {key}")
+        refuse(key not in given, f"card {label} prior has no {key}")
     location, scale = number(given["location"], label), number(given["scale"], label)
     try:
         return Prior(str(given["family"]), location, scale, str(given.get("source", "our choice")), by_card=True)

@@ -95,15 +95,20 @@ def is_file(path: Path) -> bool:
 # --- Checks that every section of a card needs; each failure is one sentence that names the card.
 
 
+def refuse(wrong: object, sentence: str) -> None:
+    """Raise the sentence if something is wrong."""
+    if wrong:
+        raise InputError(sentence)
+
+
 def section(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
     """A section of the card, empty where it is absent."""
     value = table.get(key, {})
-    if not isinstance(value, dict):
-        raise InputError(f"card {where}: {key} must be a section, [{key}]")
+    refuse(not isinstance(value, dict), f"card {where}: {key} must be a section, [{key}]")
     return value
 
 
-def known_keys(table: Mapping[str, Any], known: tuple[str, ...], where: str, what: str) -> None:
+def known_keys(table: Mapping[str, Any], known: Sequence[str], where: str, what: str) -> None:
     """Refuse a key that is not `known`; `what` says what kind of key it is."""
     for key in table:
         if key not in known:
@@ -112,10 +117,13 @@ def known_keys(table: Mapping[str, Any], known: tuple[str, ...], where: str, wha
             raise InputError(f"card {where}: unknown {what} {key[:60]!r}; {hint}")
 
 
-def like(name: str, known: Iterable[str]) -> str:
-    """A hint at the nearest of `known` names; empty if none is near."""
-    close = get_close_matches(name, list(known), n=1)
-    return f"; is {close[0]!r} there meant?" if close else ""
+def all_mapped(names: Iterable[str], known: Collection[str], what: str) -> None:
+    """Refuse names that are no channels of the card, with a hint at the nearest; `what` begins the sentence."""
+    for name in names:
+        if name not in known:
+            close = get_close_matches(name, list(known), n=1)
+            hint = f"; is {close[0]!r} there meant?" if close else ""
+            raise InputError(f"card {what} {name}, which [channels] does not map{hint}")
 
 
 UNFILLED = "TODO"  # stands on a starter card where the user has something to fill in
@@ -126,8 +134,7 @@ def refuse_unfilled(table: Mapping[str, Any], where: str) -> None:
     left = []
     for name, entries in table.items():
         for key, value in entries.items() if isinstance(entries, dict) else ():
-            parts = value.items() if isinstance(value, dict) else [("", value)]
-            for part, given in parts:
+            for part, given in value.items() if isinstance(value, dict) else [("", value)]:
                 if UNFILLED in (str(x)[: len(UNFILLED)] for x in (given if isinstance(given, list) else [given])):
                     left.append(f"[{name}] {key} {part}".strip())
     if left:
@@ -141,64 +148,52 @@ def refuse_unfilled(table: Mapping[str, Any], where: str) -> None:
 
 def strings(value: Any, sentence: str, *, empty: bool = False) -> tuple[str, ...]:
     """A list of names, not `empty` unless it may be; else `sentence` is raised."""
-    if not (isinstance(value, list) and (value or empty) and all(isinstance(name, str) for name in value)):
-        raise InputError(sentence)
+    listed = isinstance(value, list) and (value or empty) and all(isinstance(name, str) for name in value)
+    refuse(not listed, sentence)
     return tuple(value)
 
 
 def number(value: Any, where: str) -> float:
     """A plain number."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"card {where}: {str(value)[:60]!r} is not a number")
+    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    refuse(not plain, f"card {where}: {str(value)[:60]!r} is not a number")
     return float(value)
 
 
 def numbers(table: Any, where: str) -> dict[str, float]:
     """A table of plain numbers."""
-    if not isinstance(table, dict):
-        raise InputError(f"card {where} must be a table of numbers")
+    refuse(not isinstance(table, dict), f"card {where} must be a table of numbers")
     return {key: number(value, f"{where} {key}") for key, value in table.items()}
 
 
-# --- The tables of a card: aircraft, channels, envelope, fly and linear.
+# --- The section [aircraft].
 
 ROUNDED = 0.02  # moments of inertia are given to two or three digits
 POSITIONS = ("reference_point", "accelerometer", "engine")
-POSITIVE = (
-    "mass", "Ix", "Iy", "Iz", "wing_area", "chord", "half_span", "span", "aspect_ratio", "tail_arm",
-    "reference_speed", "rate_length", "lateral_length", "lateral_rate_length",
-)  # fmt: skip
+SIGNED = ("Ixz", "Ixy", "Iyz", "engine_inclination", "engine_arm", *POSITIONS)
 
 
 def parse_aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
     """Constants in SI; the aspect ratio is span squared over wing area where it is not stated."""
+    here = f"card {where}: [aircraft]"
     known_keys(table, tuple(AIRCRAFT_KEYS), where, "key of [aircraft]")
-    if "span" in table and "half_span" in table:
-        raise InputError(
-            f"card {where}: [aircraft] has span ({table['span']}) and half_span ({table['half_span']}); "
-            "keep one of them"
-        )
+    spans = f"span ({table.get('span')}) and half_span ({table.get('half_span')})"
+    refuse("span" in table and "half_span" in table, f"{here} has {spans}; keep one of them")
     values: dict[str, Any] = {}
     for key, unit in AIRCRAFT_KEYS.items():
-        if key not in table:
-            if key in OPTIONAL or key == "span" or (key == "half_span" and "span" in table):
-                continue
+        given, label = table.get(key), f"{here} {key}"
+        if given is None:
             other = f', or span = "... {unit}"' if key == "half_span" else ""
-            raise InputError(
-                f'card {where}: [aircraft] has no {key}; add it with its unit, e.g. {key} = "... {unit}"{other}'
-            )
-        given, label = table[key], f"card {where}: [aircraft] {key}"
-        if key in POSITIONS:
-            if not (isinstance(given, list) and len(given) == 3):
-                raise InputError(f"{label} must be three lengths, [x, y, z]")
+            needed = key not in OPTIONAL and key != "span" and (key != "half_span" or "span" not in table)
+            refuse(needed, f'{here} has no {key}; add it with its unit, e.g. {key} = "... {unit}"{other}')
+        elif key in POSITIONS:
+            vector = isinstance(given, list) and len(given) == 3
+            refuse(not vector, f"{label} must be three lengths, [x, y, z]")
             values[key] = tuple(quantity_to_si(part, unit, label) for part in given)
         else:
             values[key] = quantity_to_si(given, unit, label)
-    for key in POSITIVE:
-        if key in values and not values[key] > 0.0:
-            raise InputError(
-                f"card {where}: [aircraft] {key} is {values[key]} {AIRCRAFT_KEYS[key]}; it must be positive"
-            )
+            wrong = key not in SIGNED and not values[key] > 0.0
+            refuse(wrong, f"{label} is {values[key]} {unit}; it must be positive")
     if "span" in values:
         values["half_span"] = 0.5 * values.pop("span")
     values.setdefault("aspect_ratio", (2.0 * values["half_span"]) ** 2 / values["wing_area"])
@@ -211,17 +206,16 @@ def refuse_no_body(aircraft: Aircraft, where: str) -> None:
     given = {name: float(getattr(aircraft, name)) for name in ("Ix", "Iy", "Iz", "Ixy", "Ixz", "Iyz")}
     Ix, Iy, Iz, Ixy, Ixz, Iyz = given.values()
     principal = np.linalg.eigvalsh([[Ix, -Ixy, -Ixz], [-Ixy, Iy, -Iyz], [-Ixz, -Iyz, Iz]])
-    if principal[0] > 0.0 and principal[2] <= (1.0 + ROUNDED) * (principal[0] + principal[1]):
-        return
     stated = ", ".join(f"{name} {value:g}" for name, value in given.items() if value)
-    raise InputError(
+    refuse(
+        not (principal[0] > 0.0 and principal[2] <= (1.0 + ROUNDED) * (principal[0] + principal[1])),
         f"card {where}: [aircraft] no body has these moments of inertia ({stated} kg m^2): the principal ones are "
         f"{', '.join(f'{x:.4g}' for x in principal)}, all must be positive and the largest at most the sum of the "
-        "other two; correct them"
+        "other two; correct them",
     )
 
 
-# --- What a card says of channels: where they stand in a file, sums, constants, and what is formed from others.
+# --- What a card says of channels: where they stand in a file, constants, sums, and what is formed from others.
 
 MOST_COLUMNS = 2000
 ATMOSPHERE = "standard atmosphere"
@@ -239,119 +233,88 @@ RULES: dict[str, dict[str, tuple[str, ...]]] = {
 def parse_channel(key: str, given: Any, where: str) -> Channel:
     """One entry of [channels]."""
     here = f"card {where}: channel {key}"
-    if not isinstance(given, dict):
-        raise InputError(f'{here} must be a table, e.g. {{ column = 13, unit = "deg" }}')
+    refuse(not isinstance(given, dict), f'{here} must be a table, e.g. {{ column = 13, unit = "deg" }}')
     known_keys(given, ("column", "label", "unit", "required", "sign"), where, f"key of channel {key}")
-    if "unit" not in given:
-        raise InputError(f"{here} has no unit; state the unit that the file is in")
+    refuse("unit" not in given, f"{here} has no unit; state the unit that the file is in")
     column, label, sign = given.get("column"), given.get("label"), given.get("sign", 1)
-    if column is not None and (isinstance(column, bool) or not isinstance(column, int) or column < 1):
-        raise InputError(f"{here} has column {column!r}; columns are counted from 1")
-    if column is not None and column > MOST_COLUMNS:
-        raise InputError(f"{here} has column {column}; no file has more than {MOST_COLUMNS}")
-    if column is None and "label" not in given:
-        raise InputError(f"{here} has neither column nor label; say where it stands in a file")
-    if isinstance(sign, bool) or sign not in (1, -1):
-        raise InputError(f"{here} has sign {sign!r}; write -1 if the file counts the other way")
+    whole = isinstance(column, int) and not isinstance(column, bool) and column >= 1
+    refuse(column is not None and not whole, f"{here} has column {column!r}; columns are counted from 1")
+    refuse((column or 0) > MOST_COLUMNS, f"{here} has column {column}; no file has more than {MOST_COLUMNS}")
+    nowhere = column is None and "label" not in given
+    refuse(nowhere, f"{here} has neither column nor label; say where it stands in a file")
+    odd = isinstance(sign, bool) or sign not in (1, -1)
+    refuse(odd, f"{here} has sign {sign!r}; write -1 if the file counts the other way")
     label, required = None if label is None else str(label), bool(given.get("required", True))
     return Channel(key, str(given["unit"]), label, column, required, int(sign))
 
 
-def parse_sums(
-    table: Mapping[str, Any],
-    channels: tuple[Channel, ...],
-    constants: Mapping[str, float],
-    formed: Iterable[str],
-    where: str,
-) -> dict[str, dict[str, float]]:
-    """[sums]: channels that are sums of others, each part with its factor; `formed` are [derived] and [tables]."""
-    names = {channel.name for channel in channels} | set(constants) | set(formed)
-    sums = {}
-    for key, given in table.items():
-        if key in constants:
-            raise InputError(f"card {where}: {key} is both in [sums] and in [constants]; keep one of them")
-        if not (isinstance(given, list | dict) and given):
-            raise InputError(f"card {where}: [sums] {key} must be a list of channel names, or a table with factors")
-        if not all(isinstance(part, str) for part in given):
-            raise InputError(f"card {where}: [sums] {key} must hold names of channels")
-        counted = {part: given.count(part) for part in given} if isinstance(given, list) else given
-        parts = numbers(counted, f"{where}: [sums] {key}")
-        missing = [part for part in parts if part not in names]
-        if missing:
-            hint = like(missing[0], names)
-            raise InputError(f"card {where}: [sums] {key} uses {missing[0]}, which [channels] does not map{hint}")
-        sums[key] = parts
-    return sums
-
-
 def parse_quantity(key: str, value: Any, label: str, where: str) -> float:
     """A quantity in the SI unit of a channel that the program knows."""
-    if key not in STANDARD_CHANNELS:
-        raise InputError(f"card {where}: [{label}] {key} is not a channel of the program")
+    refuse(key not in STANDARD_CHANNELS, f"card {where}: [{label}] {key} is not a channel of the program")
     return quantity_to_si(value, STANDARD_CHANNELS[key].unit, f"card {where}: [{label}] {key}")
 
 
-def parse_constants(table: Mapping[str, Any], channels: tuple[Channel, ...], where: str) -> dict[str, float]:
+def parse_constants(table: Mapping[str, Any], channels: Mapping[str, Channel], where: str) -> dict[str, float]:
     """Values of channels that the file may lack; what every file must hold has no constant."""
-    required = {channel.name for channel in channels if channel.required}
     constants = {key: parse_quantity(key, value, "constants", where) for key, value in table.items()}
+    refuse("time" in constants, f"card {where}: [constants] time cannot be constant; map it under [channels]")
     for key, value in constants.items():
-        if key == "time":
-            raise InputError(f"card {where}: [constants] time cannot be constant; map it under [channels]")
-        if key in required:
-            raise InputError(
-                f"card {where}: {key} is a required channel and in [constants]; drop one, or set required = false"
-            )
+        twice = key in channels and channels[key].required
+        refuse(
+            twice, f"card {where}: {key} is a required channel and in [constants]; drop one, or set required = false"
+        )
         low, high = STANDARD_CHANNELS[key].plausible
-        if not low <= value <= high:
-            raise InputError(f"card {where}: [constants] {key} is {table[key]!r}, beyond any flight; check its unit")
+        odd = f"card {where}: [constants] {key} is {table[key]!r}, beyond any flight; check its unit"
+        refuse(not low <= value <= high, odd)
     return constants
 
 
-def parse_derived(
-    table: Mapping[str, Any], channels: tuple[Channel, ...], constants: Mapping[str, Any], where: str
-) -> dict[str, str]:
+def parse_derived(table: Mapping[str, Any], channels: Mapping[str, Channel], where: str) -> dict[str, str]:
     """Channels that a file may lack, each by the rule that forms it from others."""
     known_keys(table, tuple(RULES), where, "key of [derived]")
-    mapped = {channel.name for channel in channels}
     for key, value in table.items():
-        if value not in RULES[key]:
-            rules = " or ".join(repr(rule) for rule in RULES[key])
-            raise InputError(f"card {where}: [derived] {key} is {str(value)[:60]!r}; write {rules}")
-        if key in constants:
-            raise InputError(f"card {where}: {key} is both in [derived] and in [constants]; keep one of them")
-        missing = [name for name in RULES[key][value] if name not in mapped]
-        if missing:
-            hint = like(missing[0], mapped)
-            raise InputError(f"card {where}: [derived] {key} needs {missing[0]}, which [channels] does not map{hint}")
+        here, rules = f"{where}: [derived] {key}", " or ".join(repr(rule) for rule in RULES[key])
+        refuse(value not in [*RULES[key]], f"card {here} is {str(value)[:60]!r}; write {rules}")
+        all_mapped(RULES[key][value], channels, f"{here} needs")
     return dict(table)
 
 
-# --- The section [envelope] of a card.
+def parse_sums(table: Mapping[str, Any], names: Collection[str], where: str) -> dict[str, dict[str, float]]:
+    """[sums]: channels that are sums of others, each part with its factor; `names` are all that the card states."""
+    sums = {}
+    for key, given in table.items():
+        here = f"{where}: [sums] {key}"
+        some = isinstance(given, list | dict) and given
+        refuse(not some, f"card {here} must be a list of channel names, or a table with factors")
+        refuse(not all(isinstance(part, str) for part in given), f"card {here} must hold names of channels")
+        counted = {part: given.count(part) for part in given} if isinstance(given, list) else given
+        sums[key] = numbers(counted, here)
+        all_mapped(sums[key], names, f"{here} uses")
+    return sums
+
+
+# --- The sections [envelope] and [fly]: what a fit to trajectories compares, and where its manoeuvres begin.
 
 
 def parse_envelope(table: Mapping[str, Any], where: str) -> Envelope:
     """[envelope] of a card: [least, greatest] of each quantity, with units; of `altitude_loss` the greatest alone."""
     known_keys(table, (*UNITS, "programmed_inputs"), where, "quantity of [envelope]")
     ranges, programmed = dict(DEFAULT_RANGES), table.get("programmed_inputs", False)
-    if not isinstance(programmed, bool):
-        raise InputError(f"card {where}: [envelope] programmed_inputs is {programmed!r}; write true or false")
+    here = f"card {where}: [envelope]"
+    refuse(not isinstance(programmed, bool), f"{here} programmed_inputs is {programmed!r}; write true or false")
     stated = {key: given for key, given in table.items() if key in UNITS}
     for key, given in stated.items():
-        label = f"card {where}: [envelope] {key}"
+        label = f"{here} {key}"
         if key == "altitude_loss":
             ranges[key] = (-np.inf, quantity_to_si(given, UNITS[key], label))
             continue
-        if not (isinstance(given, list) and len(given) == 2):
-            raise InputError(f'{label} is {given!r}; write the least and the greatest value, e.g. ["-5 deg", "15 deg"]')
-        lower, upper = (quantity_to_si(one, UNITS[key], label) for one in given)
-        if not lower < upper:
-            raise InputError(f"{label} is {given!r}; the first value must be less than the second")
+        pair = isinstance(given, list) and len(given) == 2
+        refuse(not pair, f'{label} is {given!r}; write the least and the greatest value, e.g. ["-5 deg", "15 deg"]')
+        lower, upper = (quantity_to_si(limit, UNITS[key], label) for limit in given)
+        refuse(not lower < upper, f"{label} is {given!r}; the first value must be less than the second")
         ranges[key] = (lower, upper)
     return Envelope(ranges, tuple(stated), programmed)
 
-
-# --- The section [fly] of a card: what a fit to trajectories compares, and where its manoeuvres begin.
 
 HOLDABLE = ("airspeed", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi", "altitude")
 """States that a simulation may take from the record."""
@@ -359,35 +322,29 @@ HOLDABLE = ("airspeed", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi", "
 
 @dataclass(frozen=True)
 class FlyCard:
-    """Outputs to compare (None: all), the initial state of `fly --initial-state fixed`, SI, and states that are `held`
-    to the record."""
+    """Outputs to compare (None: all), the fixed initial state, SI, and states that are `held` to the record."""
 
     outputs: tuple[str, ...] | None = None
     initial_state: Mapping[str, float] = field(default_factory=dict)
     held: tuple[str, ...] = ()
 
 
-def parse_fly(table: Mapping[str, Any], channels: Sequence[Channel], where: str) -> FlyCard:
+def parse_fly(table: Mapping[str, Any], channels: Mapping[str, Channel], where: str) -> FlyCard:
     """Check [fly]; that its names are outputs and states is checked when a record is flown."""
+    here = f"card {where}: [fly]"
     known_keys(table, ("outputs", "initial_state", "held"), where, "key of [fly]")
-    outputs = table.get("outputs")
+    outputs, held, given = table.get("outputs"), table.get("held", []), table.get("initial_state", {})
     if outputs is not None:
-        outputs = strings(outputs, f'card {where}: [fly] outputs must be a list of channels, e.g. ["alpha", "q"]')
-    held = table.get("held", [])
-    if not (isinstance(held, list) and all(x in HOLDABLE for x in held)):
-        raise InputError(f"card {where}: [fly] held must be a list of states, of {', '.join(HOLDABLE)}")
-    given = table.get("initial_state", {})
-    if not isinstance(given, dict):
-        raise InputError(
-            f'card {where}: [fly] initial_state must be a table, e.g. {{ alpha = "2 deg", q = "0 deg/s" }}'
+        outputs = tuple(
+            dict.fromkeys(strings(outputs, f'{here} outputs must be a list of channels, e.g. ["alpha", "q"]'))
         )
-    mapped = {channel.name: channel for channel in channels}
-    initial = {}
-    for name, value in given.items():
-        if name not in mapped:
-            raise InputError(f"card {where}: [fly] initial_state has {name}, which [channels] does not map")
-        initial[name] = quantity_to_si(value, mapped[name].si, f"card {where}: [fly] initial_state {name}")
-    return FlyCard(None if outputs is None else tuple(dict.fromkeys(outputs)), initial, tuple(dict.fromkeys(held)))
+    states = isinstance(held, list) and all(x in HOLDABLE for x in held)
+    refuse(not states, f"{here} held must be a list of states, of {', '.join(HOLDABLE)}")
+    example = '{ alpha = "2 deg", q = "0 deg/s" }'
+    refuse(not isinstance(given, dict), f"{here} initial_state must be a table, e.g. {example}")
+    all_mapped(given, channels, f"{where}: [fly] initial_state has")
+    initial = {key: quantity_to_si(x, channels[key].si, f"{here} initial_state {key}") for key, x in given.items()}
+    return FlyCard(outputs, initial, tuple(dict.fromkeys(held)))
 
 
 # --- The section [linear] of a card: a state-space model in dimensional derivatives.
@@ -439,80 +396,66 @@ class LinearCard:
 
 def parse_linear(table: Any, channels: Collection[str], where: str) -> LinearCard:
     """Check [linear]; `channels` are those that the card maps, sums or holds constant."""
-    if not isinstance(table, dict):
-        raise InputError(f"card {where}: linear must be a section, [linear]")
+    here = f"card {where}: [linear"
+    refuse(not isinstance(table, dict), f"card {where}: linear must be a section, [linear]")
     known_keys(table, ("states", "rates", "outputs", "fixed", "delays", "by_manoeuvre"), where, "key of [linear]")
-    said = f'card {where}: [linear] states must be a list of channels, e.g. ["alpha", "q"]'
-    states = strings(table.get("states"), said)
-    if len(set(states)) < len(states):
-        raise InputError(f"card {where}: [linear] states names a state twice")
-    _mapped(states, channels, f"{where}: [linear] states")
-    rates, outputs = section(table, "rates", where), section(table, "outputs", where)
+    states = strings(table.get("states"), f'{here}] states must be a list of channels, e.g. ["alpha", "q"]')
+    refuse(len(set(states)) < len(states), f"{here}] states names a state twice")
+    all_mapped(states, channels, f"{where}: [linear] states uses")
+    rates, outputs, delays = (section(table, key, where) for key in ("rates", "outputs", "delays"))
     known_keys(rates, states, where, "state of [linear.rates]")
     for name in states:
-        if name not in rates:
-            raise InputError(f"card {where}: [linear.rates.{name}] is missing; every state needs its rate")
-    _mapped(outputs, channels, f"{where}: [linear.outputs]")
+        refuse(name not in rates, f"{here}.rates.{name}] is missing; every state needs its rate")
+    all_mapped(outputs, channels, f"{where}: [linear.outputs] uses")
     card = LinearCard(
         states=states,
         rates=tuple(_row(rates[name], channels, f"{where}: [linear.rates.{name}]") for name in states),
         outputs=tuple(outputs),
         readings=tuple(_row(row, channels, f"{where}: [linear.outputs.{name}]") for name, row in outputs.items()),
         fixed=tuple(numbers(table.get("fixed", {}), f"{where}: [linear] fixed").items()),
+        delays=tuple(delays.items()),
+        by_manoeuvre=strings(
+            table.get("by_manoeuvre", []),
+            f'{here}] by_manoeuvre must be a list of constants, e.g. ["L0", "N0"]',
+            empty=True,
+        ),
     )
+    multiplied: dict[str, set[str]] = {}  # by each parameter of a row
+    for _, row in card.rows:
+        for term in row:
+            multiplied.setdefault(term.parameter, set()).add(term.channel)
     for name, row in zip(card.outputs, card.readings, strict=True):
-        if name in states and any(term.channel != ONE for term in row):
-            raise InputError(
-                f"card {where}: [linear.outputs.{name}] is a state, which is an output already; it may only have a "
-                'bias, by = "1"'
-            )
-    delays, fixed = section(table, "delays", where), dict(card.fixed)
+        refuse(
+            name in states and any(term.channel != ONE for term in row),
+            f'{here}.outputs.{name}] is a state, which is an output already; it may only have a bias, by = "1"',
+        )
     known_keys(delays, (*card.states, *card.outputs), where, "output of [linear.delays]")
     for output, parameter in delays.items():
-        if not isinstance(parameter, str) or parameter in card.parameters:
-            raise InputError(f"card {where}: [linear.delays] {output} must be the name of a parameter of no row")
-    by_manoeuvre = _by_manoeuvre(table.get("by_manoeuvre", []), card, where)
-    card = replace(card, delays=tuple(delays.items()), by_manoeuvre=by_manoeuvre)
-    if both := [name for name in by_manoeuvre if name in fixed]:
-        raise InputError(
-            f"card {where}: [linear] {both[0]} is fixed and differs between manoeuvres; drop one of the two"
+        own = isinstance(parameter, str) and parameter not in multiplied
+        refuse(not own, f"{here}.delays] {output} must be the name of a parameter of no row")
+    for name in card.by_manoeuvre:
+        refuse(
+            multiplied.get(name) != {ONE},
+            f'{here}] by_manoeuvre has {name}, which is no constant; only parameters of "1" can differ between '
+            "manoeuvres",
         )
+        refuse(name in dict(card.fixed), f"{here}] {name} is fixed and differs between manoeuvres; drop one of the two")
     for name, _ in card.fixed:
-        if name not in card.parameters:
-            raise InputError(
-                f"card {where}: [linear.fixed] {name} is a parameter of no row; drop it or correct its name"
-            )
-    return card
-
-
-def _by_manoeuvre(given: Any, found: LinearCard, where: str) -> tuple[str, ...]:
-    said = f'card {where}: [linear] by_manoeuvre must be a list of constants, e.g. ["L0", "N0"]'
-    for name in strings(given, said, empty=True):
-        terms = [term for _, row in found.rows for term in row if term.parameter == name]
-        if not terms or any(term.channel != ONE for term in terms):
-            raise InputError(
-                f'card {where}: [linear] by_manoeuvre has {name}, which is no constant; only parameters of "1" can '
-                "differ between manoeuvres"
-            )
-    return tuple(dict.fromkeys(given))
+        lost = name not in card.parameters
+        refuse(lost, f"{here}.fixed] {name} is a parameter of no row; drop it or correct its name")
+    return replace(card, by_manoeuvre=tuple(dict.fromkeys(card.by_manoeuvre)))
 
 
 def _row(table: Any, channels: Collection[str], where: str) -> tuple[LinearTerm, ...]:
-    if not (isinstance(table, dict) and table):
-        raise InputError(f'card {where} must be a table of parameters and what they multiply, e.g. Zalpha = "alpha"')
+    some = isinstance(table, dict) and table
+    refuse(not some, f'card {where} must be a table of parameters and what they multiply, e.g. Zalpha = "alpha"')
     terms = []
     for parameter, given in table.items():
         here, multiplied = f"{where} {parameter}", {given: 1.0} if isinstance(given, str) else given
-        if not (isinstance(multiplied, dict) and multiplied):
-            raise InputError(
-                f'card {here} is {given!r}; write the channel it multiplies, e.g. "alpha", or "1" for a constant'
-            )
+        some = isinstance(multiplied, dict) and multiplied
+        refuse(
+            not some, f'card {here} is {given!r}; write the channel it multiplies, e.g. "alpha", or "1" for a constant'
+        )
         terms += [LinearTerm(parameter, channel, factor) for channel, factor in numbers(multiplied, here).items()]
-    _mapped([term.channel for term in terms if term.channel != ONE], channels, where)
+    all_mapped([term.channel for term in terms if term.channel != ONE], channels, f"{where} uses")
     return tuple(terms)
-
-
-def _mapped(names: Collection[str], channels: Collection[str], where: str) -> None:
-    for name in names:
-        if name not in channels:
-            raise InputError(f"card {where} uses {name}, which [channels] does not map")

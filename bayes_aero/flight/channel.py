@@ -13,25 +13,14 @@ from bayes_aero.units import canonical, from_si, si_unit, spellings
 
 @dataclass(frozen=True)
 class Channel:
-    """Where a channel stands in a file and in which unit.
+    """Where a channel stands in a file, in which unit, and which way it counts there."""
 
-    Attributes:
-        name: the channel inside the program, e.g. "alpha"; in SI there.
-        unit: the unit in the file, e.g. "deg".
-        label: its name in files with headers (.csv .mat .parquet .nc); without one, `name` is looked for.
-        column: its column, counted from 1, in files without a header (.asc).
-        required: whether a file without it is refused. A channel that is not required is left out of the
-            record.
-        sign: -1 where the file counts the other way: a load factor that is positive upward for az, an
-            elevator that is positive trailing edge up.
-    """
-
-    name: str
-    unit: str
-    label: str | None = None
-    column: int | None = None
-    required: bool = True
-    sign: int = 1
+    name: str  # inside the program, "alpha"; in SI there
+    unit: str  # in the file, "deg"
+    label: str | None = None  # in files with headers (.csv .mat .parquet .nc); without one, `name` is looked for
+    column: int | None = None  # counted from 1, in files without a header (.asc)
+    required: bool = True  # else a file may lack it, and the record then does
+    sign: int = 1  # -1 where the file counts the other way: a load factor upward for az, an elevator trailing edge up
 
     @property
     def heading(self) -> str:
@@ -122,9 +111,22 @@ STANDARD_CHANNELS: dict[str, StandardChannel] = {
     name: StandardChannel(name, unit, description, (lo, hi)) for name, unit, description, lo, hi in _TABLE
 }
 
+UNITS: dict[str, tuple[str, ...]] = {
+    "rad": ("deg", "rad"), "rad/s": ("deg/s", "rad/s"), "rad/s^2": ("deg/s^2", "rad/s^2"), "m": ("ft", "m"),
+    "m/s": ("kt", "km/h", "ft/s", "mph", "m/s"), "m/s^2": ("g", "ft/s^2", "m/s^2"), "K": ("degC", "K", "degF"),
+    "Pa": ("hPa", "Pa", "kPa", "inHg", "psi", "lbf/ft^2"), "1": ("%", "1"), "N": ("lbf", "N", "kN"),
+    "kg/m^3": ("g/m^3", "slug/ft^3", "kg/m^3", "lb/ft^3"), "kg": ("lb", "kg", "slug"), "m^2": ("ft^2", "m^2"),
+    "s": ("s", "ms", "us", "ns", "min"),
+}  # fmt: skip
+"""Units that files have a quantity in, by its SI unit."""
+
+
+def unit_choices(name: str) -> tuple[str, ...]:
+    """Units that files have a channel in."""
+    return UNITS.get(STANDARD_CHANNELS[name].unit, ()) if name in STANDARD_CHANNELS else ()
+
 
 # --- What people call channels and units in the headers of their files.
-
 
 _NAMES: dict[str, str] = {
     "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime "
@@ -256,8 +258,7 @@ def side_of(heading: str) -> tuple[str, str] | None:
 
 
 def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]:
-    """Name in lower case without blanks, and the unit where the heading tells it: "AoA [deg]", "alt_ft", "KTAS". `si`
-    is the SI unit of the channel, if it is known: it decides between the two meanings of "TAS [KN]"."""
+    """Name and unit of a heading: "AoA [deg]", "alt_ft", "KTAS"; `si` of the channel decides what "TAS [KN]" means."""
     bracketed = _BRACKETS.match(heading.strip()) or _BEHIND_COMMA.fullmatch(heading.strip())
     if bracketed and "," in bracketed[0][len(bracketed[1]) :] and _spelled(bracketed[2], si) is None:
         bracketed = None  # "Gload,norml" is a name of two words

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, StandardChannel
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, StandardChannel, unit_choices
 from bayes_aero.flight.health.channel import held_period
 from bayes_aero.flight.record import GAP, FlightRecord
 from bayes_aero.units import from_si, instant, number, same_unit, to_si
@@ -32,8 +32,7 @@ Check = Callable[[FlightRecord, Card, bool], str]
 
 
 def check_record(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> None:
-    """Raise `InputError`, with channel, sample and remedy, for the first thing wrong with a record. `even=False`: it is
-    to be resampled."""
+    """Raise InputError, with channel, sample and remedy, for the first fault; `even=False`: it is to be resampled."""
     for reason in failures(record, even=even, channels=channels):
         raise InputError(reason)
 
@@ -49,8 +48,7 @@ def failures(record: FlightRecord, *, even: bool = True, channels: Sequence[Chan
 
 
 def check_arrays(record: FlightRecord, channels: Sequence[Channel]) -> None:
-    """Raise InputError if a record made in memory is too short, lacks numbers that the card needs, or its time does
-    not increase."""
+    """Raise InputError if a record made in memory is too short, lacks numbers, or its time does not increase."""
     used = {c.name: record[c.name] for c in channels if c.required and c.name in record.channels}
     for check in (length, finite, monotonic):
         if reason := check(replace(record, channels=used), {}, True):
@@ -234,12 +232,6 @@ _LIMITS = ("32767", "32768", "65535", "1e10", "1e20", "1e30")
 FILLS = frozenset(float(sign + digits) for digits in (*_DIGITS, *_LIMITS) for sign in ("", "-"))
 """What recorders write where they have no value, in the file's unit."""
 
-UNITS: Mapping[str, tuple[str, ...]] = {
-    "rad": ("deg", "rad"), "rad/s": ("deg/s", "rad/s"), "rad/s^2": ("deg/s^2", "rad/s^2"),
-    "m/s": ("kt", "km/h", "ft/s", "mph", "m/s"), "m": ("ft", "m"), "m/s^2": ("g", "ft/s^2", "m/s^2"),
-    "K": ("degC", "K", "degF"), "Pa": ("hPa", "Pa", "kPa", "inHg", "psi", "lbf/ft^2"), "1": ("%", "1"),
-    "kg/m^3": ("g/m^3", "slug/ft^3", "kg/m^3"), "N": ("lbf", "N", "kN"), "kg": ("lb", "kg", "slug"),
-}  # fmt: skip
 WORDS = {
     "deg": "degrees", "rad": "radians", "deg/s": "degrees per second", "rad/s": "radians per second",
     "deg/s^2": "degrees per second squared", "kt": "knots", "ft": "feet", "m": "metres", "%": "per cent",
@@ -291,7 +283,7 @@ def _unit_hint(x: np.ndarray, known: StandardChannel, own: str) -> str:
     filed = from_si(x, own, known.name, known.unit)
     lo, hi = known.plausible
     fit = []
-    for unit in UNITS.get(known.unit, ()):
+    for unit in unit_choices(known.name):
         if same_unit(unit, own) is not False:
             continue
         values = to_si(filed, unit, known.name, known.unit)
@@ -318,8 +310,7 @@ def time_hint(median: float, channel: Channel | None) -> str:
 
 
 def without_bad_options(record: FlightRecord, channels: Sequence[Channel], *, blanks: bool = False) -> FlightRecord:
-    """The record without optional channels that are not finite or not plausible; it remembers why. `blanks`: missing
-    samples pass, for the record is about to be resampled."""
+    """The record without optional channels that are not finite (`blanks` pass) or not plausible; it remembers why."""
     dropped = {}
     for channel in channels:
         if channel.required or channel.name not in record.channels:
@@ -352,8 +343,7 @@ _STEPWISE = ("gear",)
 
 
 def resample_record(record: FlightRecord, dt: float) -> FlightRecord:
-    """The record on the grid t0, t0 + dt, ... by cubic interpolation of each channel between its own samples, low-pass
-    filtered where dt is coarser; a step beyond `MAX_GAP` median steps is refused. Angles come back unwrapped."""
+    """The record on an even grid: cubic splines, low-pass filtered where `dt` is coarser; no gap is bridged."""
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"record {record.name}: cannot resample to an interval of {dt!r} s; give a positive number")
     knots = {name: sampled_at(name, values) for name, values in record.channels.items()}

@@ -25,12 +25,14 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, split_heading
 from bayes_aero.flight.checks import JITTER, check_record, failures, resample_record, without_bad_options
+from bayes_aero.flight.health import runs_of
 from bayes_aero.flight.health.air import grounded
-from bayes_aero.flight.health.finding import runs_of
-from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.readers.base import FileColumn, Heading, HeadingIndex, OpenedFile, located
+from bayes_aero.flight.readers import FileColumn, Heading, HeadingIndex, OpenedFile, binary, located, text
 from bayes_aero.flight.record import GAP, SHORTEST, FlightRecord, cut, expanded, parts_of, samples_of, segment_of
 from bayes_aero.units import canonical, instant, same_kind, same_unit, to_si
+
+READERS: Mapping[str, Callable[[bytes], OpenedFile]] = dict(sorted((text.READS | binary.READS).items()))
+"""What opens a file, by its suffix."""
 
 MAX_BYTES = 1 << 30  # largest file that is taken for one manoeuvre: 1 GiB
 
@@ -141,13 +143,12 @@ def present(path: Path) -> None:
 
 def format_of(path: Path) -> Callable[[bytes], OpenedFile]:
     """What opens a file, told by its suffix."""
-    opens = READERS.get(path.suffix.lower())
-    if opens is None:
-        given = f"the suffix {path.suffix!r}" if path.suffix else "a file without suffix"
+    given = f"the suffix {path.suffix!r}" if path.suffix else "a file without suffix"
+    if (suffix := path.suffix.lower()) not in READERS:
         raise InputError(
             f"{given} is not known; flight records end in {', '.join(READERS)}: rename or convert the file"
         )
-    return opens
+    return READERS[suffix]
 
 
 def bytes_of(path: Path) -> bytes:
@@ -206,7 +207,6 @@ def unit_in_file(channel: Channel, column: FileColumn, heading: Heading) -> str 
 
 
 # --- Everything that a file holds, before any card says what it means.
-
 
 MOST_COLUMNS = 20_000  # columns beyond this are not looked at
 PATIENCE = 20.0  # seconds
@@ -271,8 +271,7 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
 
 
 def _numeric(opened: OpenedFile, places: Mapping[str, Heading]) -> dict[str, FileColumn]:
-    """All columns at once; where one is no numbers, each half on its own, so that only it is lost. When `PATIENCE` is
-    over, whatever has not been read is taken for no numbers."""
+    """All columns at once; where one is no numbers, each half on its own, so that only it is lost, for `PATIENCE` s."""
     numbers: dict[str, FileColumn] = {}
     failure = InputError("it holds no column of numbers; is it the right file?")
     left = deque([list(places.items())])
@@ -301,8 +300,7 @@ def repeats(time: np.ndarray, channels: Iterable[np.ndarray]) -> Bool[np.ndarray
 
 
 def without_repeats(record: FlightRecord) -> FlightRecord:
-    """The record without such samples, which say nothing new, and a remark. Samples of one time that differ stay, for
-    nobody knows which of them is right."""
+    """The record without such samples, and a remark. Samples of one time that differ stay."""
     again = repeats(record.time, record.channels.values())
     if not again.any():
         return record
@@ -311,8 +309,7 @@ def without_repeats(record: FlightRecord) -> FlightRecord:
     remark = (
         f"{what} the one before in time and in every channel of the card, and {'is' if count == 1 else 'are'} left out"
     )
-    channels = {name: x[~again] for name, x in record.channels.items()}
-    return replace(record, time=record.time[~again], channels=channels, remarks=(*record.remarks, remark))
+    return replace(record.part(~again), remarks=(*record.remarks, remark))
 
 
 # --- Records brought to one sampling rate, at which filters that span samples span the seconds they were made for.
@@ -330,19 +327,21 @@ def common_interval(records: Sequence[FlightRecord]) -> float:
 
 def at_common_rate(records: Sequence[FlightRecord]) -> list[FlightRecord]:
     """The records at `common_interval`, filtered against aliasing; those that have it, unchanged."""
-    dt = common_interval(records) if records else 0.0
-    return [record if abs(record.dt - dt) <= SAME * dt else resample_record(record, dt) for record in records]
+    return [
+        resample_record(record, common_interval(records)) if _odd(record, records) else record for record in records
+    ]
+
+
+def _odd(record: FlightRecord, records: Sequence[FlightRecord]) -> bool:
+    dt = common_interval(records)
+    return abs(record.dt - dt) > SAME * dt
 
 
 def rate_notes(records: Sequence[FlightRecord]) -> tuple[str, ...]:
     """A sentence where records were brought to another rate; none where they were not."""
-    changed = [old for old, new in zip(records, at_common_rate(records), strict=True) if new is not old]
-    if not changed:
-        return ()
-    rates = ", ".join(f"{record.name} ({1.0 / record.dt:.4g} Hz)" for record in changed)
-    return (
-        f"Brought to the common rate of {1.0 / common_interval(records):.4g} Hz, filtered against aliasing: {rates}.",
-    )
+    rates = ", ".join(f"{record.name} ({1.0 / record.dt:.4g} Hz)" for record in records if _odd(record, records))
+    rate = f"{1.0 / common_interval(records):.4g} Hz" if rates else ""
+    return (f"Brought to the common rate of {rate}, filtered against aliasing: {rates}.",) if rates else ()
 
 
 # --- A look at a record through a card: what was taken from where, and everything that is wrong with it at once.
@@ -445,7 +444,6 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
 
 # --- The parts of a file that are worth a record of their own: those in flight, and the manoeuvres in them.
 
-
 WINDOW = 2.0  # s over which a control or a rate must move
 PAUSE = 4.0  # s of rest that divide two manoeuvres
 LEAD = 2.0  # s kept before and after
@@ -477,7 +475,7 @@ def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
     forward = bool((np.diff(record.time) > 0.0).all())
     flown: list[tuple[int, int]] = []
     for a, b in parts:
-        part = _window(record, a, b)
+        part = record.part(slice(a, b))
         if part.has("airspeed") and not np.isfinite(part["airspeed"]).all():
             flown.append((a, b))
             continue
@@ -489,14 +487,10 @@ def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
         found += [_proposal(record, a, b, "in flight", forward) for a, b in flown]
     if forward:
         for a, b in flown:
-            moved = _manoeuvres(_window(record, a, b), a)
+            moved = _manoeuvres(record.part(slice(a, b)), a)
             if len(moved) > 1 or (moved and moved[0][1] - moved[0][0] < MOST_OF_A_PART * (b - a)):
                 found += [_proposal(record, i, j, "manoeuvre", forward) for i, j in moved]
     return tuple(found)
-
-
-def _window(record: FlightRecord, a: int, b: int) -> FlightRecord:
-    return FlightRecord(record.name, record.time[a:b], {n: x[a:b] for n, x in record.channels.items()}, "", "")
 
 
 def _manoeuvres(part: FlightRecord, offset: int) -> list[tuple[int, int]]:

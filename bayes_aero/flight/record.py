@@ -151,16 +151,13 @@ class FlightRecord:
                 f"record {self.name} has no sample between {instant(t0)} and {instant(t1)} s; "
                 f"it runs from {instant(self.time[0])} to {instant(self.time[-1])} s"
             )
-        return FlightRecord(
-            name=f"{self.name}_{instant(t0)}-{instant(t1)}s",
-            time=self.time[keep],
-            channels={key: values[keep] for key, values in self.channels.items()},
-            source=f"{self.source}, {instant(t0)} s to {instant(t1)} s",
-            sha256=self.sha256,
-            dropped=self.dropped,
-            remarks=self.remarks,
-            read={**self.read, "windows": [*self.read["windows"], [float(t0), float(t1)]]} if self.read else {},
-        )
+        read = {**self.read, "windows": [*self.read["windows"], [float(t0), float(t1)]]} if self.read else {}
+        name, source = f"{self.name}_{instant(t0)}-{instant(t1)}s", f"{self.source}, {instant(t0)} s to {instant(t1)} s"
+        return replace(self.part(keep), name=name, source=source, read=read)
+
+    def part(self, inside: Any) -> FlightRecord:
+        """These samples, all else as it is."""
+        return replace(self, time=self.time[inside], channels={name: x[inside] for name, x in self.channels.items()})
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A mapping proxy cannot be pickled, and records are sent to worker processes.
@@ -252,10 +249,7 @@ def segment_of(path: str | os.PathLike[str]) -> Segment:
 
 def cut(record: FlightRecord, segment: Segment) -> FlightRecord:
     """The part of a record, with the file's own time; raises as `samples_of`."""
-    if segment.whole:
-        return record
-    inside = samples_of(record.time, segment)
-    return replace(record, time=record.time[inside], channels={name: x[inside] for name, x in record.channels.items()})
+    return record if segment.whole else record.part(samples_of(record.time, segment))
 
 
 def samples_of(time: np.ndarray, segment: Segment) -> slice:
@@ -308,20 +302,14 @@ def expanded(
     for path in paths:
         text = os.fspath(path)
         segment = segment_of(text)
-        parts_of_file = stated.get(segment.file.name, ()) if segment.whole else ()
-        if parts_of_file:
-            segments += [Path(f"{text}@{part}") for part in parts_of_file]
-        elif segment.whole and times is not None:
-            time, all_parts = times[text], parts_of(times[text])
-            long = [(k, a, b) for k, (a, b) in enumerate(all_parts, 1) if b - a >= SHORTEST]
-            if len(all_parts) == 1:
-                segments.append(Path(text))
-            elif (np.diff(time) <= 0.0).any():
-                segments += [Path(f"{text}@#{k}") for k, _, _ in long]
-            else:
-                segments += [Path(f"{text}@{time[a]:.15g}:{time[b - 1]:.15g}") for _, a, b in long]
+        named = stated.get(segment.file.name, ()) if segment.whole else ()
+        if not named and segment.whole and times is not None and len(parts := parts_of(times[text])) > 1:
+            time, forward = times[text], bool((np.diff(times[text]) > 0.0).all())
+            long = [(k, a, b) for k, (a, b) in enumerate(parts, 1) if b - a >= SHORTEST]
+            named = [f"{time[a]:.15g}:{time[b - 1]:.15g}" if forward else f"#{k}" for k, a, b in long]
+            segments += [Path(f"{text}@{part}") for part in named]
         else:
-            segments.append(Path(text))
+            segments += [Path(f"{text}@{part}") for part in named] or [Path(text)]
     return segments
 
 

@@ -23,7 +23,7 @@ from bayes_aero.dynamics.system import LinearSystem
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.card_tables import ONE
-from bayes_aero.flight.health.finding import noise_of
+from bayes_aero.flight.health import noise_of
 from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import BLOCK, robust_covariance

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import noise_of
+from bayes_aero.flight.health import noise_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import robust_covariance
 from bayes_aero.inference.optimise import (

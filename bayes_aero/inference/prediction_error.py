@@ -30,7 +30,7 @@ from bayes_aero.dynamics.innovations import (
 )
 from bayes_aero.dynamics.kalman import Filtered, NoisePoint, innovations_density, log_likelihood
 from bayes_aero.dynamics.segments import SegmentTrajectories
-from bayes_aero.flight.health.finding import quantum
+from bayes_aero.flight.health import quantum
 from bayes_aero.inference.covariance import covariance_of
 from bayes_aero.inference.optimise import (
     APPROXIMATE_SCORING,

@@ -19,7 +19,7 @@ from bayes_aero.arrays import AnyArray
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour

@@ -15,8 +15,8 @@ from bayes_aero.diagnosis.consistency import KnownErrors, consistency, errors_of
 from bayes_aero.diagnosis.result import CheckReport, SensorCheck
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health import channel_health
-from bayes_aero.flight.health.finding import Agreement, Consistency, HealthFinding
+from bayes_aero.flight.health import Agreement, Consistency, HealthFinding
+from bayes_aero.flight.health.channel import channel_health
 from bayes_aero.flight.reading import RecordReport, inspect_record, manoeuvres
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.parts import ConsistencyPart

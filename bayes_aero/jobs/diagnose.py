@@ -26,7 +26,7 @@ from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import only_following
+from bayes_aero.flight.health import only_following
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import record_checks
 from bayes_aero.jobs.io.results import Hidden, Outcome, diagnosed, diagnosis_results, flights, put_histories

@@ -17,7 +17,7 @@ from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import repeats_of
+from bayes_aero.flight.health import repeats_of
 from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import TOLERANCES, FlightRecord
 from bayes_aero.inference.mle import MAX_SEPARATE_FITS

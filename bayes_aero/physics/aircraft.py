@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Any
 
@@ -51,12 +51,10 @@ Position = tuple[Scalar, Scalar, Scalar]
 class Aircraft:
     """Constants in SI; positions are from the centre of gravity in body axes (x forward, y right, z down).
 
-    `reference_point` is where the pitching moment is referred to; `engine` is the point at which the total net
-    thrust acts, inclined upward by `engine_inclination`; `tail_arm` is the distance from the CG to the tailplane.
-    `engine_arm` is the distance of a left and a right engine from the plane of symmetry, which yaw the aircraft where
-    `thrust_left` and `thrust_right` are recorded. `reference_speed`, `rate_length` and `lateral_rate_length` say how
-    rates and speeds are made free of units (see `physics.rates`); `lateral_length` is the length of Cl and Cn. Compiled
-    programs take it apart: see `model.pytrees`.
+    `reference_point`: of the moments; `engine`: where the total net thrust acts, inclined upward by
+    `engine_inclination`; `tail_arm`: from the CG to the tailplane; `engine_arm`: of a left and a right engine from the
+    plane of symmetry, which yaw the aircraft where `thrust_left` and `thrust_right` are recorded. `reference_speed`,
+    `rate_length`, `lateral_rate_length`: how rates are made free of units; `lateral_length`: the length of Cl and Cn.
     """
 
     mass: Scalar  # kg
@@ -87,18 +85,10 @@ class Aircraft:
         return 2.0 * self.half_span if self.lateral_length is None else self.lateral_length
 
 
-AIRCRAFT_UNITS: dict[str, str] = {
-    "mass": "kg",
-    **dict.fromkeys(("Ix", "Iy", "Iz", "Ixz"), "kg m^2"),
-    "wing_area": "m^2",
-    **dict.fromkeys(("chord", "half_span"), "m"),
-    "aspect_ratio": "1",
-    **dict.fromkeys(("tail_arm", "reference_point", "accelerometer", "engine"), "m"),
-    "engine_inclination": "rad",
-    "reference_speed": "m/s",
-    **dict.fromkeys(("rate_length", "lateral_length", "lateral_rate_length", "engine_arm"), "m"),
-    **dict.fromkeys(("Ixy", "Iyz"), "kg m^2"),
-}
+_NOT_METRES = dict.fromkeys(("Ix", "Iy", "Iz", "Ixz", "Ixy", "Iyz"), "kg m^2") | {
+    "mass": "kg", "wing_area": "m^2", "aspect_ratio": "1", "engine_inclination": "rad", "reference_speed": "m/s",
+}  # fmt: skip
+AIRCRAFT_UNITS: dict[str, str] = {each.name: _NOT_METRES.get(each.name, "m") for each in fields(Aircraft)}
 AIRCRAFT_KEYS: dict[str, str] = {**AIRCRAFT_UNITS, "span": "m"}
 """Keys of a card's [aircraft]: the constants, and the span in place of half of it."""
 OPTIONAL = (  # the aspect ratio is the span squared over the wing area where it is not stated
@@ -147,8 +137,7 @@ class Envelope:
 
 
 def excursion(flight: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Least and greatest value of each quantity of an envelope during a flight of these channels, SI. The load factor
-    is -az/g, of the specific force along the body's z axis."""
+    """Least and greatest value of each quantity of an envelope during a flight, SI; the load factor is -az/g."""
     found = {name: np.asarray(flight[name]) for name in ("alpha", "beta", "phi", "airspeed") if name in flight}
     if "az" in flight:
         found["load_factor"] = -np.asarray(flight["az"]) / GRAVITY

@@ -1,9 +1,7 @@
-"""From recorded accelerations and rates to the coefficients of forces and moments.
+"""From recorded accelerations and rates to the coefficients of forces and moments, and back to the motion.
 
-Signals are conditioned in one of three ways. `condition_joined`: as the published ATTAS coefficients were formed:
-alpha, beta, V smoothed; alpha-dot the derivative of smoothed alpha; p, q, r smoothed and differentiated for the angular
-accelerations, unsmoothed where they enter kinematics. `alike_joined`: every channel smoothed alike.
-`unsmoothed_joined`: none, where the difference of measured and modelled coefficients is smoothed later.
+Signals are conditioned as the published ATTAS coefficients were formed (`condition_joined`), all alike (`alike_joined`)
+or not at all, where the difference of measured and modelled coefficients is smoothed later (`unsmoothed_joined`).
 Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 12 and its companion data set.
 """
 
@@ -29,6 +27,7 @@ from bayes_aero.physics.filters import (
 from bayes_aero.physics.kinematics import (
     RATES,
     Rotation,
+    across_flow,
     angular_accelerations,
     down_of,
     inertial_moments,
@@ -59,9 +58,8 @@ class Coefficients(NamedTuple):
 
 
 def condition_joined(channels: Mapping[str, Series], dt: Series, first: Index, last: Index) -> Signals:
-    """Smoothed and differentiated signals, SI and radians, beside the untouched ones; manoeuvres laid end to end.
-    `first` and `last` are the ends of each sample's own manoeuvre. Adds `alpha_dot`, `p_dot`, `q_dot`, `r_dot`
-    (derivatives of the smoothed signals), replacing recorded ones."""
+    """Signals smoothed and differentiated as published, with `alpha_dot` and angular accelerations of the smoothed
+    ones; manoeuvres laid end to end, `first` and `last` the ends of each sample's own."""
     signals = {name: jnp.asarray(values) for name, values in channels.items()}
     # One filter over all channels stacked compiles several times faster than one filter each.
     names = [name for name in SMOOTHED if name in signals]
@@ -80,12 +78,10 @@ def unsmoothed_joined(
     last: Index,
     regression: LiftRegression | None = None,
 ) -> dict[str, Array]:
-    """Unsmoothed channels, manoeuvres laid end to end, and the derivatives of `condition_joined`. The difference of
-    measured and modelled coefficients is smoothed later, so that the filter acts on both sides alike, also on
-    non-linear terms. The published method compares a smoothed pitch acceleration with an unsmoothed elevator, and the
-    lift of a smoothed angle of attack with unsmoothed lift, so that fast effects are underestimated. Only alpha-dot is
-    formed in another way, because its noise would bias non-linear models: see `alpha_rate`. `regression` of alpha-dot
-    is that of the uncorrected channels; without it, it is that of these."""
+    """Unsmoothed channels and the derivatives of `condition_joined`. The difference of measured and modelled
+    coefficients is smoothed later: the filter acts on both sides alike, also on non-linear terms, where the published
+    method underestimates fast effects. alpha-dot is formed by `alpha_rate`, because its noise would bias non-linear
+    models; its `regression` is that of the uncorrected channels, or of these."""
     rates = [channels[name] for name in RATES]
     signals = dict(channels) | _slopes(rates, lambda x: differentiate_joined(x, dt, first, last), RATES)
     regression = regression or lift_regression(channels, accelerometer, dt, first, last)
@@ -95,9 +91,8 @@ def unsmoothed_joined(
 def alike_joined(
     channels: Mapping[str, Array], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
 ) -> Signals:
-    """Every channel smoothed by the one filter, manoeuvres laid end to end, with the derivatives of `condition_joined`.
-    The filter is linear, so a coefficient that is a sum of terms is, once filtered, the sum of its filtered terms:
-    measured and modelled coefficients are filtered alike. alpha-dot: `alpha_rate`."""
+    """Every channel smoothed by the one filter, with these derivatives. The filter is linear: a coefficient that is a
+    sum of terms is, once filtered, the sum of its filtered terms."""
     raw = unsmoothed_joined(channels, accelerometer, dt, first, last)
     names = [*channels, "alpha_dot"]
     smoothed = jax.vmap(lambda x: smooth_joined(x, first, last))(jnp.stack([jnp.asarray(raw[n], float) for n in names]))
@@ -110,9 +105,8 @@ def _slopes(rows: Sequence[Array], derivative: Filter, names: Sequence[str] = ("
 
 
 def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> Coefficients:
-    """Coefficients from conditioned signals, sample by sample (so it may be differentiated or mapped sample by sample).
-    `thrust` is the total net thrust in N, acting at `aircraft.engine`; it is removed from forces and moments, with the
-    moments of `thrust_left` and `thrust_right` where both are there. Without `ay` the lateral ones are None."""
+    """Coefficients from conditioned signals, sample by sample. `thrust` (total, net, N) at `aircraft.engine` is taken
+    out, with the moments of `thrust_left` and `thrust_right`. Without `ay` the lateral ones are None."""
     s, a = signals, aircraft
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
     arm_x, arm_y, arm_z = lever_arm(rotation, a.accelerometer)
@@ -120,7 +114,7 @@ def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) 
     pressure_area = 0.5 * s["density"] * jnp.square(s["airspeed"]) * a.wing_area
     CX = (a.mass * (s["ax"] - arm_x) - thrust_x) / pressure_area
     CZ = (a.mass * (s["az"] - arm_z) - thrust_z) / pressure_area
-    CL, CD = lift_drag_from_body(CX, CZ, s["alpha"])
+    CL, CD = across_flow(CX, CZ, s["alpha"])
 
     x_engine, y_engine, z_engine = a.engine
     x_ref, y_ref, z_ref = a.reference_point
@@ -147,22 +141,6 @@ def stacked_coefficients(
     return jnp.stack([getattr(found, name) for name in names], axis=-1)
 
 
-# --- Rotations between body axes (x forward, y right, z down) and stability axes (lift and drag).
-
-
-def lift_drag_from_body(CX: Samples, CZ: Samples, alpha: Samples) -> tuple[Samples, Samples]:
-    """CL and CD from the body-axis force coefficients; `alpha` in rad. CL = CX sin alpha - CZ cos alpha, CD = -CX cos
-    alpha - CZ sin alpha."""
-    sin, cos = xp.sin(alpha), xp.cos(alpha)
-    return CX * sin - CZ * cos, -CX * cos - CZ * sin
-
-
-def body_from_lift_drag(CL: Samples, CD: Samples, alpha: Samples) -> tuple[Samples, Samples]:
-    """CX and CZ from lift and drag; the inverse of `lift_drag_from_body`."""
-    sin, cos = xp.sin(alpha), xp.cos(alpha)
-    return CL * sin - CD * cos, -CL * cos - CD * sin
-
-
 # --- Forces and moments from coefficients; the inverse of `coefficients`.
 # Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 3.
 
@@ -173,8 +151,7 @@ def thrust_components(thrust: Samples, aircraft: Aircraft) -> tuple[Samples, Sam
 
 
 def engine_moments(signals: Mapping[str, Samples], aircraft: Aircraft) -> tuple[Samples, Samples]:
-    """Moments (N m) about body x and z of a left and a right engine `engine_arm` off the plane of symmetry. None where
-    `thrust_left` and `thrust_right` (N) were not both recorded."""
+    """Moments (N m) about body x and z of a left and a right engine, zero where their thrusts were not recorded."""
     if "thrust_left" not in signals or "thrust_right" not in signals:
         nothing = jnp.zeros_like(signals["thrust"])
         return nothing, nothing
@@ -186,7 +163,7 @@ def specific_force(
     CL: Samples, CD: Samples, alpha: Samples, pressure: Samples, thrust: Samples, aircraft: Aircraft
 ) -> tuple[Samples, Samples]:
     """Aerodynamics and thrust along body x and z over the mass, m/s2; `pressure` is dynamic, Pa."""
-    CX, CZ = body_from_lift_drag(CL, CD, alpha)
+    CX, CZ = across_flow(CL, CD, alpha)
     x, z = thrust_components(thrust, aircraft)
     force = pressure * aircraft.wing_area
     return (force * CX + x) / aircraft.mass, (force * CZ + z) / aircraft.mass
@@ -198,10 +175,8 @@ def moments(
     signals: Mapping[str, Samples],
     aircraft: Aircraft,
 ) -> tuple[Samples, Samples, Samples]:
-    """Moments of aerodynamics and engines about body x, y and z through the centre of gravity, N m. `flow` has Cl, Cm,
-    Cn about the aircraft's reference point; `force` is the specific force at the centre of gravity, body axes, m/s2, of
-    which thrust is taken out. `signals`: `airspeed`, `density` and `thrust`, SI, with `thrust_left` and `thrust_right`
-    where known."""
+    """Moments of aerodynamics and engines about body axes through the centre of gravity, N m. `flow`: Cl, Cm, Cn about
+    the reference point; `force`: specific, at the CG, m/s2, of which thrust is taken out; `signals`: air and thrust."""
     a = aircraft
     area = 0.5 * signals["density"] * jnp.square(signals["airspeed"]) * a.wing_area
     along, down = thrust_components(signals["thrust"], a)
@@ -213,11 +188,6 @@ def moments(
     M = area * a.chord * flow["Cm"] + z * X - x * Z + z_engine * along - x_engine * down
     N = area * a.moment_length * flow["Cn"] + x * Y - y * X - y_engine * along + yaw
     return L, M, N
-
-
-def lateral_force(CY: Samples, pressure: Samples, aircraft: Aircraft) -> Samples:
-    """Aerodynamics along body y over the mass, m/s2; `pressure` is dynamic, Pa."""
-    return pressure * aircraft.wing_area * CY / aircraft.mass
 
 
 # --- Rate of change of the angle of attack from vane, gyro and accelerometer, with noise independent of that of lift.
@@ -243,14 +213,11 @@ def alpha_rate(s: Mapping[str, AnyArray], regression: LiftRegression, dt: Series
     """alpha-dot, rad/s, of manoeuvres laid end to end: slow part from the vane, fast part from gyro and lift.
 
     The differentiated noise of a vane is several times that of gyro and accelerometer, and a one-sided hysteresis turns
-    it into a bias. Offsets of gyro and accelerometer, and gravity, are slow. The measured part due to specific force is
-    the measured lift; as a regressor of the lift coefficient it would explain the noise of the lift, and the estimates
-    of lift due to pitch rate and to alpha-dot would be large with opposite signs. It is therefore regressed on the
-    variables on which lift depends (angle of attack in pieces, their hysteresis, elevator, pitch rate), and the
-    prediction is used: two-stage least squares. Near the ends of a manoeuvre only the smoothed vane is used.
-
-    `s` are the channels (n,), SI, with `p_dot`, `q_dot`, `r_dot` in rad/s2; `first` and `last` the ends of each
-    sample's manoeuvre. `regression` is that of the uncorrected record; it is not changed by corrections of `s`.
+    it into a bias. The measured part due to specific force is the measured lift; as a regressor of the lift coefficient
+    it would explain the noise of the lift. It is therefore regressed on the variables on which lift depends (angle of
+    attack in pieces, their hysteresis, elevator, pitch rate), and the prediction is used: two-stage least squares. Near
+    the ends only the smoothed vane is used. `s` are channels (n,), SI, with the angular accelerations; `regression` is
+    that of the uncorrected record.
 
     Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10 (kinematics); two-stage least squares:
     Wooldridge, *Econometric Analysis of Cross Section and Panel Data*, 2010, ch. 5.
@@ -263,8 +230,7 @@ def alpha_rate(s: Mapping[str, AnyArray], regression: LiftRegression, dt: Series
 def lift_regression(
     s: Mapping[str, AnyArray], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
 ) -> LiftRegression:
-    """Regression of the fast part of alpha-dot due to specific force on the causes of lift; arguments as `alpha_rate`.
-    `accelerometer` is its position from the CG, m."""
+    """Regression of the fast part of alpha-dot due to specific force on the causes of lift; see `alpha_rate`."""
     lib = namespace(*s.values())
     smooth, fast, base = _parts(s, dt, first, last)
     names = [name for name in ("alpha", "q", "airspeed", "density", "elevator") if name in s]
@@ -363,16 +329,14 @@ def motion_of_aircraft(
     axes: Collection[Axis] = LONGITUDINAL,
     prescribed: Collection[str] = ("p", "r"),
 ) -> AircraftMotion:
-    """Forces, moments and the motion that follows.
-
-    Forces of `axes` are those of the flow. Others are given: in the plane of symmetry as `force_x` and `force_z`; the
-    lateral one follows from `ay` at the accelerometer, else from the sideslip's rate `beta_dot`, else it is 0.
+    """Forces, moments and the motion that follows. Forces of `axes` are those of the flow. Others are given: in the
+    plane of symmetry as `force_x` and `force_z`; the lateral one follows from `ay` at the accelerometer, else from the
+    sideslip's rate `beta_dot`, else it is 0.
 
     `flow` gives the coefficients and other quantities of the effects as a function of alpha-dot in rad/s, on which they
-    depend where `implicit`. `air`: `alpha`, `airspeed` and `density` of the flow, and `thrust`; SI. `path`: the motion
-    over ground, SI: `airspeed`, `alpha`, `beta`, `p`, `q`, `r`, and `theta` and `phi` or `down`, the direction of
-    gravity in body axes; the angular accelerations of `prescribed` rates (else 0). `prescribed`: those of `p`, `q`, `r`
-    that are given, and `alpha`, if it is, with its rate `alpha_dot`.
+    depend where `implicit`. `air`: `alpha`, `airspeed`, `density` of the flow, `thrust`. `path`: the motion over
+    ground: `airspeed`, `alpha`, `beta`, rates, `theta` and `phi` or `down`. `prescribed`: those of `p`, `q`, `r` whose
+    acceleration `path` gives (else 0), and `alpha`, if it gives `alpha_dot`.
     """
     nothing = jnp.zeros_like(air["alpha"])
     pressure = 0.5 * air["density"] * jnp.square(air["airspeed"])
@@ -384,7 +348,7 @@ def motion_of_aircraft(
         else:
             fx, fz = path["force_x"], path["force_z"]
         if Axis.LATERAL in axes:
-            return fx, lateral_force(known["CY"], pressure, aircraft), fz
+            return fx, pressure * aircraft.wing_area * known["CY"] / aircraft.mass, fz
         if "ay" in path:
             p_dot, q_dot, r_dot = (path.get(f"{n}_dot", nothing) for n in RATES)
             spin = Rotation(path["p"], path["q"], path["r"], p_dot, q_dot, r_dot)
@@ -416,10 +380,9 @@ def accelerometers(now: AircraftMotion, path: Mapping[str, Any], aircraft: Aircr
 
 def alpha_dot(rate_of: Callable[[Any], Any]) -> Float[Array, ""]:
     """Solve rate = rate_of(rate), because lift depends on alpha-dot through the separation point. Usually the right
-    side decreases with alpha-dot, and the root is between zero and rate_of(0). Where it increases (a negative `CLadot`
-    or hysteresis time) the root is beyond, and for a larger slope the motion is not unique: the result is then NaN.
-    Newton steps that leave the bracket are replaced by bisection. A fixed-point iteration would not converge (gain 0.9
-    to 2.7). Derivatives are those of the implicit function."""
+    side decreases with alpha-dot, and the root is between zero and rate_of(0). Where it increases the root is beyond,
+    and for a larger slope the motion is not unique: NaN. A fixed-point iteration would not converge (gain 0.9 to 2.7).
+    Derivatives are those of the implicit function."""
 
     def bracketed(excess, first):
         def not_converged(state):

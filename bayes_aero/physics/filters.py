@@ -26,8 +26,7 @@ LONG_REACH = (LONG + 1) * (len(SPENCER) // 2) + len(EIGHTH_ORDER)  # samples: sm
 
 
 def smooth(x: Series) -> Series:
-    """Fifteen-point Spencer filter; five points in samples 4 to 7 from an end; the outer three stay as they are. It
-    passes cubics unchanged. `x` has any unit; n >= 20."""
+    """Fifteen-point Spencer filter, n >= 20; five points in samples 4 to 7 from an end; the outer three stay."""
     x = namespace(x).asarray(x)
     return smooth_joined(x, *_ends(x))
 
@@ -46,8 +45,7 @@ def _central(x: Float[AnyArray, "*r n"], weights: np.ndarray) -> Float[AnyArray,
 
 
 def differentiate(x: Series, dt: float | Float[AnyArray, ""] | Series) -> Series:
-    """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond. `x` in
-    any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two."""
+    """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond."""
     x = namespace(x).asarray(x)
     return differentiate_joined(x, dt, *_ends(x))
 
@@ -61,8 +59,7 @@ def smooth_joined(x: Series, first: Index, last: Index) -> Series:
 
 
 def smooth_long(x: Series) -> Series:
-    """The Spencer filter over every `LONG`-th sample of a smoothed signal: it passes cubics, and a third of the band;
-    wrong near the ends."""
+    """The Spencer filter over every `LONG`-th sample of a smoothed signal; wrong near the ends."""
     kernel = np.zeros(LONG * (len(SPENCER) - 1) + 1)
     kernel[::LONG] = SPENCER
     xp = namespace(x)

@@ -28,13 +28,10 @@ Sines = tuple[Samples, ...]  # sine and cosine of each of `ANGLES`
 
 
 def path_rates(s: Mapping[str, Samples], aircraft: Aircraft, sines: Sines | None = None) -> dict[str, Samples]:
-    """Time derivatives of airspeed (m/s2), alpha, theta, beta, phi (rad/s) and altitude (m/s) from signals in SI. `s`
-    holds `PATH_NEEDS` and the angular accelerations `p_dot`, `q_dot`, `r_dot`; accelerations at the sensor."""
+    """`motion_of_path`, SI, from `PATH_NEEDS` and `p_dot`, `q_dot`, `r_dot`; accelerations at the sensor."""
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
     x, y, z = lever_arm(rotation, aircraft.accelerometer)
-    force = (s["ax"] - x, s["ay"] - y, s["az"] - z)
-    sines = _sines(s) if sines is None else sines
-    return motion_of_path(s, force, sines) | lateral_motion(s, force, sines)
+    return motion_of_path(s, (s["ax"] - x, s["ay"] - y, s["az"] - z), sines)
 
 
 def _sines(s: Mapping[str, Samples], angles: Sequence[str] = ANGLES) -> Sines:
@@ -42,25 +39,14 @@ def _sines(s: Mapping[str, Samples], angles: Sequence[str] = ANGLES) -> Sines:
     return tuple(f(s[name]) for name in angles for f in (xp.sin, xp.cos))
 
 
-def _down(sines: Sines) -> Axes:
-    """The direction of gravity in body axes."""
-    sin_t, cos_t, sin_p, cos_p = sines[4:]
-    return -sin_t, cos_t * sin_p, cos_t * cos_p
-
-
 def motion_of_path(s: Mapping[str, Samples], force: Axes, sines: Sines | None = None) -> dict[str, Samples]:
-    """As `path_rates`, from the specific force at the centre of gravity (body axes, m/s2), without beta and phi."""
-    sines = _sines(s) if sines is None else sines
-    sin_p, cos_p = sines[6:]
-    return motion_in_plane(s, force, _down(sines), sines) | {"theta": s["q"] * cos_p - s["r"] * sin_p}
-
-
-def lateral_motion(s: Mapping[str, Samples], force: Axes, sines: Sines | None = None) -> dict[str, Samples]:
-    """Time derivatives of sideslip and bank (rad/s) from the specific force at the centre of gravity (m/s2)."""
+    """Rates of airspeed (m/s2), alpha, beta, theta, phi (rad/s), altitude (m/s) from the specific force at the CG."""
     sines = _sines(s) if sines is None else sines
     sin_t, cos_t, sin_p, cos_p = sines[4:]
-    return {
-        "beta": sideslip_rate(s, force, _down(sines), sines),
+    down = -sin_t, cos_t * sin_p, cos_t * cos_p
+    return motion_in_plane(s, force, down, sines) | {
+        "beta": sideslip_rate(s, force, down, sines),
+        "theta": s["q"] * cos_p - s["r"] * sin_p,
         "phi": s["p"] + (s["q"] * sin_p + s["r"] * cos_p) * sin_t / cos_t,
     }
 
@@ -68,8 +54,7 @@ def lateral_motion(s: Mapping[str, Samples], force: Axes, sines: Sines | None = 
 def motion_in_plane(
     s: Mapping[str, Samples], force: Axes, down: Axes, sines: Sines | None = None
 ) -> dict[str, Samples]:
-    """Time derivatives of airspeed (m/s2), alpha (rad/s) and altitude (m/s). `force`: specific force at the centre of
-    gravity, m/s2; `down`: the direction of gravity; both in body axes."""
+    """Rates of airspeed, alpha and altitude; `force`: specific, at the CG, `down`: of gravity, in body axes."""
     sin_a, cos_a, sin_b, cos_b = (_sines(s, FLOW_ANGLES) if sines is None else sines)[:4]
     ax, ay, az = _accelerations(force, down)
     V = s["airspeed"]
@@ -94,9 +79,8 @@ def _accelerations(force: Axes, down: Axes) -> Axes:
 
 
 def path_outputs(channels: Mapping[str, Samples]) -> tuple[str, ...]:
-    """Flight-path outputs that (n,) channels allow: what was recorded of `PATH`, and of `LATERAL` what moves. None
-    without `PATH_CORE`. Sideslip that a card states as constant, or bank of wings that stayed level, is no measurement;
-    nor is bank without both of the rates that move it."""
+    """Flight-path outputs that (n,) channels allow, none without `PATH_CORE`: what was recorded of `PATH`, and of
+    `LATERAL` what moves, for a constant is no measurement; nor is bank without the rates that move it."""
     if not set(PATH_CORE) <= set(channels):
         return ()
     recorded = tuple(name for name in PATH if name in channels)
@@ -112,9 +96,8 @@ def as_symmetric(channels: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
 
 
 def side_force(s: Mapping[str, Samples], ax: Samples, az: Samples) -> Samples:
-    """Lateral specific force in m/s2 without which sideslip would not have moved as it did: `ay` from the vane. From
-    sideslip, its rate `beta_dot`, p and r: the lateral acceleration is v_dot + r u - p w with v = V sin(beta). `ax` and
-    `az` are the specific forces beside it, at the centre of gravity; in sideslip they are not all that slows."""
+    """Lateral specific force, m/s2, without which sideslip would not have moved as it did (v_dot + r u - p w with
+    v = V sin(beta)): `ay` from the vane. `ax`, `az`: the specific forces beside it, at the centre of gravity."""
     sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s)
     in_plane = (ax - GRAVITY * sin_t) * cos_a + (az + GRAVITY * cos_t * cos_p) * sin_a
     turning = s["airspeed"] * (s["beta_dot"] + s["r"] * cos_a - s["p"] * sin_a)
@@ -164,9 +147,8 @@ def inertial_moments(rotation: Rotation, aircraft: Aircraft) -> Axes:
 
 
 def angular_accelerations(moments: Axes, rates: Axes, aircraft: Aircraft, given: Mapping[str, Samples]) -> Axes:
-    """p_dot, q_dot, r_dot (rad/s2) from moments about the CG (N m): Euler's equations, `inertial_moments` solved.
-    `rates` are p, q, r in rad/s. `given` has the accelerations `p_dot`, `q_dot`, `r_dot` of axes whose rate is
-    prescribed; the moment about such an axis is then not used."""
+    """p_dot, q_dot, r_dot (rad/s2) from moments about the CG (N m): `inertial_moments` solved. `given`: those of axes
+    whose rate is prescribed; the moment about such an axis is then not used."""
     a, nothing = aircraft, xp.zeros_like(rates[0])
     turning = inertial_moments(Rotation(*rates, nothing, nothing, nothing), a)
     rows = [(a.Ix, -a.Ixy, -a.Ixz), (-a.Ixy, a.Iy, -a.Iyz), (-a.Ixz, -a.Iyz, a.Iz)]
@@ -254,6 +236,13 @@ def lever_arm(rotation: Rotation, position: Position) -> Axes:
     ay = x * (p * q + r_dot) - y * (p * p + r * r) + z * (q * r - p_dot)
     az = x * (p * r - q_dot) + y * (q * r + p_dot) - z * (p * p + q * q)
     return ax, ay, az
+
+
+def across_flow(along: Samples, down: Samples, alpha: Samples) -> tuple[Samples, Samples]:
+    """Lift and drag from forces along body x and z (CL = CX sin alpha - CZ cos alpha, CD = -CX cos alpha - CZ sin
+    alpha), and the other way: a reflection, its own inverse."""
+    sin, cos = xp.sin(alpha), xp.cos(alpha)
+    return along * sin - down * cos, -along * cos - down * sin
 
 
 # --- Nondimensional rates and speeds of aerodynamic derivatives.

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from bayes_aero.arrays import AnyArray, Samples, xp
 from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.physics.filters import recurrence
+from bayes_aero.physics.kinematics import across_flow
 
 Scalar = Float[AnyArray, ""]
 
@@ -66,10 +67,8 @@ CENTROID = 4.0 / (3.0 * math.pi)  # of half an elliptic lift distribution, share
 
 
 def moments_of_difference(CL: Samples, CD: Samples, alpha: Samples, aircraft: Aircraft) -> dict[str, Samples]:
-    """Cl and Cn of differences of lift and drag, right less left wing. `CL` and `CD` are coefficients of a wing with
-    both halves like the right one, less those with both halves like the left one. The force of a half acts at
-    `CENTROID`. Moments are about body axes."""
-    CX = CL * xp.sin(alpha) - CD * xp.cos(alpha)
-    CZ = -CL * xp.cos(alpha) - CD * xp.sin(alpha)
+    """Cl and Cn, body axes, of lift and drag of a wing with both halves like the right one, less those of both like the
+    left one; the force of a half acts at `CENTROID`."""
+    CX, CZ = across_flow(CL, CD, alpha)
     arm = 0.5 * CENTROID * aircraft.half_span / aircraft.moment_length
     return {"Cl": arm * CZ, "Cn": -arm * CX}

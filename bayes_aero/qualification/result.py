@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.result import TestPoint
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, HealthFinding
 
 PASSES_FROM, FAILS_TO = 0.95, 0.05  # probabilities from which a tolerance passes, and to which it fails; our choice
 

@@ -168,11 +168,11 @@ class _AddedToEquations(AddedSeries):
     responses: EquationError
     theta: Float[np.ndarray, " k"]
 
-    def signals(self) -> Mapping[str, Array]:
+    def signals(self) -> Mapping[str, np.ndarray]:
         return self._signals
 
     @cached_property
-    def _signals(self) -> Mapping[str, Array]:
+    def _signals(self) -> Mapping[str, np.ndarray]:
         return self.responses.evaluate(self.theta)[1]
 
     def columns(

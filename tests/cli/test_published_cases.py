@@ -18,7 +18,7 @@ import bayes_aero as ba
 from bayes_aero.diagnosis import candidate_set
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.flight.card import read_card, shipped_cards
-from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.health.channel import channel_health
 from bayes_aero.flight.reading import read_record
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import MleStatus

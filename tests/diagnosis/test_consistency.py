@@ -32,7 +32,7 @@ from bayes_aero.diagnosis.selection import Extension
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.health.finding import Agreement, Consistency, noise_of
+from bayes_aero.flight.health import Agreement, Consistency, noise_of
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle

@@ -37,7 +37,7 @@ from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.health.finding import OpenError
+from bayes_aero.flight.health import OpenError
 from bayes_aero.inference.results import Scores, ScoreStatus
 from bayes_aero.model.model import lengths_of
 from bayes_aero.physics.aircraft import NAMES, NO_AIRCRAFT

@@ -12,7 +12,7 @@ from bayes_aero.diagnosis.result import CheckReport, SensorCheck
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import channel_units, parse_card, shipped_cards
 from bayes_aero.flight.card_tables import parse_aircraft, parse_envelope, refuse_no_body
-from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.flight.health import Consistency
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import check_records
 from bayes_aero.model.model import Model
@@ -190,12 +190,12 @@ WRONG_INPUTS = [
     (put(*LEFT, "from", {}), "from must name one to 3 channels"),
     (put(*LEFT, "from", "n1_left", {"unit": "%", "points": [40, 100, 60]}), "points must be .* increase"),
     (put(*LEFT, "from", "n1_left", {"points": [40, 100, 60]}), "must have unit and points"),
-    (put(*LEFT, "from", {"n1_lft": {"unit": "%", "points": [1, 2]}}), "does not map it; is 'n1_left' there meant"),
+    (put(*LEFT, "from", {"n1_lft": {"unit": "%", "points": [1, 2]}}), "does not map; is 'n1_left' there meant"),
     (put("tables", {"thrust_left": 3}), "must be a table with unit, from and values"),
     (put("tables", {"q": {"unit": "rad/s", "from": {}, "values": []}}), "states q elsewhere, too"),
     (put("derived", "density", "guess"), "write 'gas law' or 'dynamic pressure' or 'standard atmosphere'"),
     (put("derived", "density", "standard atmosphere"), "needs altitude"),
-    (put("sums", "density", ["mach"]), r"density is in \[sums\] and in \[derived\]"),
+    (put("sums", "density", ["mach"]), r"density is both in \[sums\] and in \[derived\]"),
     (put("sums", "elevator", {"elevator_left": "half"}), "'half' is not a number"),
     (put("sums", "elevator", [["elevator_left"]]), "must hold names of channels"),
     (put("sums", "elevator", 3), "list of channel names, or a table with factors"),

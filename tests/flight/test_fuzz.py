@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.reading import READERS, read_record
 from bayes_aero.flight.record import WRITERS, write_record
 from bayes_aero.units import to_si
 

@@ -1,5 +1,7 @@
 """What `card` guesses of names, units and signs, the reader accepts, whatever the format and the spelling of units."""
 
+from itertools import cycle
+
 import asammdf
 import numpy as np
 import pandas as pd
@@ -11,8 +13,7 @@ from flights import flight
 from bayes_aero.flight.card import parse_card
 from bayes_aero.flight.card_tables import parse_table
 from bayes_aero.flight.channel import ALIASES, Channel, plain_heading, split_heading, symbol_of
-from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.reading import inspect_record, read_raw, read_record
+from bayes_aero.flight.reading import READERS, inspect_record, read_raw, read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.card_template import starter_card
 from bayes_aero.jobs.column_inference import guessed
@@ -119,8 +120,9 @@ def guesses(folder, header, columns):
     return guessed(read_raw(path).columns)[0]
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize(("heading", "channel", "si", "size", "unit"), SPELLED)
+@pytest.mark.parametrize(("layout", "heading", "channel", "si", "size", "unit"), [
+    (layout, *spelled) for spelled, layout in zip(SPELLED, cycle(LAYOUTS), strict=False)
+])  # fmt: skip
 def test_a_guess_from_the_files_own_unit_passes_the_reader(tmp_path, layout, heading, channel, si, size, unit):
     found = guesses(tmp_path, LAYOUTS[layout].format(heading, unit), (TIME, si / size))
     card = [Channel(g.channel, str(g.unit), label=g.column.label, sign=g.sign) for g in (found["time"], found[channel])]
@@ -244,7 +246,7 @@ def test_small_motions_tell_each_others_units(tmp_path, names, degrees, stated, 
 
 # A card that `card` makes passes `check` on its own file, whatever the format, once its TODO entries are filled in
 KT = 1852.0 / 3600.0
-ELSEWHERE = {".ulg", ".bin"}  # logs of autopilots: their names are no aircraft's, see test_formats.py
+ELSEWHERE = {".txt", ".dat", ".tsv", ".ulg", ".bin"}  # read as .asc and .csv; logs of autopilots: see test_formats.py
 FILLED = {"mass": "9000 kg", "wing_area": "28 m^2", "span": "14.2 m"}
 
 
@@ -282,7 +284,7 @@ def write(frame: pd.DataFrame, path, struct: bool) -> None:
             file.save(path, overwrite=True)
 
 
-@pytest.mark.parametrize(("suffix", "struct"), [(s, False) for s in READERS if s not in ELSEWHERE] + [(".mat", True)])
+@pytest.mark.parametrize(("suffix", "struct"), [*((s, False) for s in READERS if s not in ELSEWHERE), (".mat", True)])
 def test_a_starter_card_passes_on_its_own_file(tmp_path, suffix, struct):
     path = tmp_path / f"run{suffix}"
     true, frame = flown()

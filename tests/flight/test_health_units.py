@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from flights import NOISE, UNITS, G, card, changed, flight, smooth
 
-from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.health import channel_health
-from bayes_aero.flight.health.air import across, derivatives
-from bayes_aero.flight.health.refuted import refuted
+from bayes_aero.flight.health.air import air_data, derivatives
+from bayes_aero.flight.health.channel import channel_health
+from bayes_aero.flight.health.kinematics import refuted
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import standard_air
@@ -56,7 +55,7 @@ def test_the_standard_atmosphere_is_the_published_one():
 @pytest.mark.parametrize("altitude", [0.0, 4000.0, 9000.0])
 def test_air_of_any_weather_is_silent(altitude, warm):
     record = flight(1, altitude=altitude, seconds=30.0)
-    assert [*across(changed(record, **air(record, warm=warm)), card(**AIR))] == []
+    assert [*air_data(changed(record, **air(record, warm=warm)), card(**AIR))] == []
 
 
 @pytest.mark.parametrize(("name", "size", "unit"), [
@@ -81,18 +80,18 @@ def test_wrong_units_show_in_level_flight_and_in_the_density(sound):
     assert "density were in slug/ft^3 (the card says kg/m^3)" in told.sentence
     small = card(**AIR)
     small = replace(small, aircraft=replace(small.aircraft, mass=1500.0, wing_area=28.0 / FOOT**2))
-    told = [f for f in across(changed(sound, without=("altitude", "mach")), small) if f.fault == "load"]
+    told = [f for f in air_data(changed(sound, without=("altitude", "mach")), small) if f.fault == "load"]
     assert len(told) == 1
     assert "wing_area were in ft^2" in told[0].sentence
-    told = [f for f in across(changed(sound, altitude=sound["altitude"] / FOOT), card(**AIR)) if f.fault == "unit"]
+    told = [f for f in air_data(changed(sound, altitude=sound["altitude"] / FOOT), card(**AIR)) if f.fault == "unit"]
     assert [f.channel for f in told][:1] == ["altitude"]
     assert 'set unit = "ft" for altitude' in told[0].sentence
 
 
 def test_a_constant_or_derived_density_is_held_against_the_altitude(sound):
     record = changed(sound, without=("density", "dynamic_pressure", "mach"))
-    assert [*across(record, card(constants={"density": "0.82 kg/m^3"}))] == []
-    (told,) = across(record, card(constants={"density": "1.225 kg/m^3"}))  # sea level's, at 4 km
+    assert [*air_data(record, card(constants={"density": "0.82 kg/m^3"}))] == []
+    (told,) = air_data(record, card(constants={"density": "1.225 kg/m^3"}))  # sea level's, at 4 km
     assert (told.fault, told.channel, told.grave) == ("density", "density", True)
 
     def derived(record):
@@ -107,16 +106,16 @@ def test_a_constant_or_derived_density_is_held_against_the_altitude(sound):
 
 def test_airspeed_dynamic_pressure_and_mach_number_are_held_against_each_other(sound):
     record = changed(sound, airspeed=sound["airspeed"] * np.sqrt(sound["density"] / 1.225))
-    assert ("airspeed_kind", "airspeed") in [(f.fault, f.channel) for f in across(record, card(**AIR))]
+    assert ("airspeed_kind", "airspeed") in [(f.fault, f.channel) for f in air_data(record, card(**AIR))]
     M = 0.85
     fast = changed(sound, airspeed=sound["airspeed"] * (M / sound["mach"]), mach=np.full(sound.n, M))
     q = 0.5 * fast["density"] * fast["airspeed"] ** 2
     impact = fast["dynamic_pressure"] * 0.0 + 0.7**-1 * q / M**2 * ((1.0 + 0.2 * M**2) ** 3.5 - 1.0)
-    told = [*across(changed(fast, dynamic_pressure=impact), card(**AIR))]
+    told = [*air_data(changed(fast, dynamic_pressure=impact), card(**AIR))]
     assert [(f.channel, f.grave) for f in told] == [("dynamic_pressure", False)]
     assert "impact pressure" in told[0].sentence
-    assert [*across(changed(fast, dynamic_pressure=q), card(**AIR))] == []
-    (told,) = across(changed(sound, without=("density", "dynamic_pressure"), airspeed=sound["airspeed"] / KNOT),
+    assert [*air_data(changed(fast, dynamic_pressure=q), card(**AIR))] == []
+    (told,) = air_data(changed(sound, without=("density", "dynamic_pressure"), airspeed=sound["airspeed"] / KNOT),
                      card(**AIR))  # fmt: skip
     assert (told.channel, told.fault, told.grave) == ("airspeed", "unit", True)
     assert 'unit = "kt"' in told.sentence
@@ -126,12 +125,11 @@ def test_airspeed_dynamic_pressure_and_mach_number_are_held_against_each_other(s
 def test_an_airspeed_is_calibrated_where_its_ratio_is_that_of_calibrated_airspeed(sound, off, kind):
     """The root of the density ratio is 0.813 at 4000 m: 0.858 is 5.5 % off. Without a name, the factor is reported."""
     ratio = off * np.sqrt(sound["density"] / 1.225)
-    found = [*across(changed(sound, airspeed=sound["airspeed"] * ratio, without=("mach",)), card(**AIR))]
+    found = [*air_data(changed(sound, airspeed=sound["airspeed"] * ratio, without=("mach",)), card(**AIR))]
     assert {f.fault for f in found if f.fault != "load"} == {"airspeed_kind" if kind else "factor"}
 
 
-@pytest.mark.parametrize("name", ["p", "q", "r"])
-@pytest.mark.parametrize("dt", [0.02, 0.1])
+@pytest.mark.parametrize(("name", "dt"), [("p", 0.02), ("q", 0.1), ("r", 0.02)])
 def test_a_derivative_in_degrees_is_told(name, dt):
     record = flight(2, dt)
     rng = np.random.default_rng(1)
@@ -168,7 +166,7 @@ def book(name, **changes):
     channels = tuple(Channel(key, unit, None, column) for key, (column, unit) in places.items())
     record = read_record(BOOK / name, channels)
     ours = replace(card(), channels=channels)
-    return [*across(record, ours), *derivatives(record, ours)]
+    return [*air_data(record, ours), *derivatives(record, ours)]
 
 
 @needs_book
@@ -180,14 +178,6 @@ def test_the_records_of_the_book_are_silent_in_their_units_and_tell_others(name)
     axis = {"E": ("q_dot", 47), "A": ("p_dot", 46), "R": ("r_dot", 48)}[name[6]]
     told = book(name, **{axis[0]: (axis[1], "deg/s^2")})  # as the book's own program takes them (its case 32)
     assert [(f.channel, f.fault) for f in told] == [(axis[0], "unit")]
-
-
-TRIALS = Path(__file__).parents[2].parent / "shared" / "trials"
-
-
-def told(record, *more, **changes):
-    """(fault, channel) of the grave findings."""
-    return [(f.fault, f.channel) for f in channel_health([record, *more], card(**changes)) if f.grave]
 
 
 FORWARD_LEFT_UP, LATERAL = ("ay", "az", "q", "r", "theta", "psi"), ("phi", "psi", "beta", "p", "r", "ay")
@@ -264,9 +254,8 @@ FRAMES = {  # the program's channel i is read from the file's channel order[i], 
 SENSORS = (("p", "q", "r"), ("ax", "ay", "az"))
 
 
-@pytest.mark.parametrize("axes", FRAMES)
+@pytest.mark.parametrize(("axes", "seed"), [(axes, k % 2) for k, axes in enumerate(FRAMES)])
 @pytest.mark.parametrize("wrong", range(4))
-@pytest.mark.parametrize("seed", range(2))
 def test_axes_are_named_despite_errors_of_scale_and_never_where_single_signs_are_wrong(axes, wrong, seed):
     """Up to four sensors are off by a scale of 0.75 to 1.33, and `wrong` of all channels count the other way."""
     rng = np.random.default_rng([seed, wrong, *axes.encode()])
@@ -284,20 +273,6 @@ def test_axes_are_named_despite_errors_of_scale_and_never_where_single_signs_are
         assert all(f.fault != "axes" or "sensors" in f.sentence for f in found)
     else:
         assert [m[1] for m in named if m] == ([] if axes == "x forward, y right, z down" else [axes])
-
-
-@pytest.mark.skipif(not TRIALS.is_dir(), reason="the small inputs of a user are not in ../shared/trials")
-def test_the_axes_of_a_simulated_stall_are_named_and_its_elevator_is_not_blamed():
-    """README of the inputs: sensors x forward, y left, z up. Yaw rate and heading turn together there."""
-    attas = read_card("attas")
-    record = read_record(TRIALS / "axes_flu.csv", attas.channels)
-    (finding,) = [f for f in channel_health([record], attas) if f.grave]
-    assert finding.fault == "axes"
-    assert "x forward, y left, z up" in finding.sentence
-    assert set(re.search(r"sign = -1 at ([\w, ]+) on", finding.sentence)[1].split(", ")) == set(FORWARD_LEFT_UP)
-    channels = tuple(replace(c, sign=-1) if c.name in FORWARD_LEFT_UP else c for c in attas.channels)
-    followed = replace(attas, channels=channels)
-    assert channel_health([read_record(TRIALS / "axes_flu.csv", channels)], followed) == ()
 
 
 def test_units_that_are_not_advised():
@@ -321,8 +296,9 @@ def gusty(record, size=1.5):
     return changed(record, airspeed=V + u, alpha=record["alpha"] + w / V, beta=record["beta"] + v / V)
 
 
-@pytest.mark.parametrize(("factor", "gust"), [(1.85, 0.0), (1.944 * 0.95, 0.0), (1.5, 1.0), (0.7, 1.0)])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "factor", "gust"), [
+    (0, 1.85, 0.0), (1, 1.944 * 0.95, 0.0), (2, 1.5, 1.0), (0, 0.7, 1.0), (1, 1.5, 1.0),
+])  # fmt: skip
 def test_a_factor_of_the_airspeed_is_told_with_its_error_and_no_bias(seed, factor, gust):
     record = gusty(flight(seed, dt=0.02), gust)
     said = channel_health([changed(record, airspeed=factor * record["airspeed"])], card())
@@ -365,7 +341,7 @@ def off_by_half(record, rng, seed):
 
 @pytest.mark.parametrize(("errors", "seed", "none"), [
     *((off_by_a_tenth, seed, {"unit", "airspeed_kind", "gravity", "load", "sign", "axes"}) for seed in range(4)),
-    *((off_by_half, seed, {"unit", "gravity", "load"}) for seed in range(12)),
+    *((off_by_half, seed, {"unit", "gravity", "load"}) for seed in range(6)),
 ])  # fmt: skip
 def test_no_unit_is_claimed_of_sensors_with_errors_of_scale_bias_and_sign(errors, seed, none):
     """All units are right."""
@@ -374,8 +350,9 @@ def test_no_unit_is_claimed_of_sensors_with_errors_of_scale_bias_and_sign(errors
     assert not {f.fault for f in channel_health([wrong], card())} & none
 
 
-@pytest.mark.parametrize("size", [0.16 * G, -0.16 * G])
-@pytest.mark.parametrize("without", [(), ("beta",), ("psi", "altitude")])
+@pytest.mark.parametrize(("size", "without"), [
+    (0.16 * G, ()), (-0.16 * G, ("beta",)), (0.16 * G, ("psi", "altitude")),
+])  # fmt: skip
 def test_a_mean_lateral_acceleration_is_a_bias_with_its_size(size, without):
     """asin 0.16 is 9.2 deg of tilt; the card that states the bias is left alone."""
     record = changed(flight(0), without=without, ay=flight(0)["ay"] + size)

@@ -9,8 +9,7 @@ from flight_samples import CHANNELS, sound, told
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.readers.base import Marks, marks_of, number_of, seconds
-from bayes_aero.flight.readers.text import laid_out, separator_of
+from bayes_aero.flight.readers.text import Marks, laid_out, marks_of, number_of, seconds, separator_of
 from bayes_aero.flight.reading import read_raw, read_record
 from bayes_aero.flight.record import write_record
 

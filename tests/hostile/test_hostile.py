@@ -262,8 +262,8 @@ def test_small_files_that_claim_gigabytes(tmp_path, suffix, monkeypatch):
     """Ten channels of many zeros each: some kB compressed or never written."""
     count, rows = 10, 19_000_000 if suffix in (".nc", "v7.mat") else 190_000
     if rows < 1_000_000:  # zeros must be written there; the limit of all is the thing
-        for module in ("base", "binary"):
-            monkeypatch.setattr(f"bayes_aero.flight.readers.{module}.MOST_VALUES_IN_ALL", 1_000_000, raising=False)
+        for module in ("readers", "readers.binary"):
+            monkeypatch.setattr(f"bayes_aero.flight.{module}.MOST_VALUES_IN_ALL", 1_000_000, raising=False)
     channels = (Channel("time", "s", "T", 1), *(Channel(f"c{i}", "1", f"C{i}", i) for i in range(2, count + 1)))
     path = tmp_path / f"big{suffix}"
     if suffix in (".nc", "v7.mat"):
@@ -290,23 +290,14 @@ def test_an_hdf5_header_that_claims_more_than_there_is(tmp_path, shape):
         read_record(tmp_path / "big.nc", CHANNELS)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".asc"])
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"1," * 50_000_000, "characters, more than"),  # one line of 100 MB
-        (b"9" * 100_000_000, "characters, more than"),
-        (b"1,2\n" * 6_000_000, "lines, more than"),
-        (b"\n" * 50_000_000, "lines, more than"),
-        (b"\r" * 50_000_000, "lines, more than"),
-        (b"T,ALCG\n" + b"9" * 150_000 + b",1\n" + b"1,2\n" * 60, "column"),
-    ],
-    ids=["one line", "one number", "lines of numbers", "empty lines", "carriage returns", "a long number"],
-)
-def test_text_that_is_no_table(tmp_path, suffix, content, said):
-    path = tmp_path / f"odd{suffix}"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=said if suffix == ".csv" or "column" not in said else "."):
+@pytest.mark.parametrize(("piece", "times", "said"), [
+    (b"1,", 50_000_000, "characters, more than"), (b"1,2\n", 6_000_000, "lines, more than"),  # one line of 100 MB
+    (b"\r", 50_000_000, "lines, more than"), (b"T,ALCG\n" + b"9" * 150_000 + b",1\n1,2\n", 60, "column"),
+])  # fmt: skip
+def test_text_that_is_no_table(tmp_path, piece, times, said):
+    path = tmp_path / "odd.csv"
+    path.write_bytes(piece * times)
+    with pytest.raises(InputError, match=said):
         read_record(path, CHANNELS)
 
 

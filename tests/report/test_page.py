@@ -14,7 +14,7 @@ from calling import holds
 from PIL import Image
 
 from bayes_aero.diagnosis.result import INNOVATIONS, TRAJECTORIES, DiagnosisView
-from bayes_aero.flight.health.finding import HealthFinding
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.results import PosteriorStatus
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures.every_figure import FIGURES

@@ -1,51 +1,407 @@
-"""Health of each channel by itself and against the others, before anything is computed from it."""
+"""What is wrong with one channel of one record, and the words that all kinds of fault share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import product
+from typing import Any
+
+import numpy as np
 
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.air import across, air_data, derivatives, in_flight, on_ground
-from bayes_aero.flight.health.channel import dropouts, frozen, held, idle, quantised, saturated, wrapped
-from bayes_aero.flight.health.controls import control_responses, feedback
-from bayes_aero.flight.health.finding import HealthFinding, decided, different_rates, same_records, short
-from bayes_aero.flight.health.refuted import refuted
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.record import FlightRecord
-
-__all__ = ["HealthFinding", "channel_health"]
-
-_CHECKS: tuple[Callable[[FlightRecord, Card], Iterable[HealthFinding]], ...] = (
-    air_data, across, derivatives, dropouts, frozen, held, saturated, quantised, wrapped, short, idle, decided,
-)  # fmt: skip
+from bayes_aero.units import instant, same_unit, to_si
 
 
-def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthFinding, ...]:
-    """Everything that is wrong with records by themselves, one finding a fault; grave findings first."""
-    said: list[HealthFinding] = []
-    for record in records:
-        flown = in_flight(record, card)
-        misread, read = refuted(flown, card)
-        others = [finding for check in _CHECKS for finding in check(flown, card)]
-        findings = _without_consequences([*misread, *others, *control_responses(read, card)])
-        if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind", "factor") for f in findings):
-            said += on_ground(record, card)
-        said += findings
-    said += [*same_records(records), *different_rates(records), *feedback(records, card)]
-    return tuple(sorted(said, key=lambda finding: not finding.grave))
+@dataclass(frozen=True)
+class HealthFinding:
+    """One fault of one channel."""
+
+    record: str
+    channel: str  # "record" where all of them are meant
+    fault: str  # short key of the kind of fault, e.g. "frozen"
+    begin: float | None  # first time that is concerned, s, as in the record; None where it is the whole record
+    end: float | None  # last such time, s
+    sentence: str  # channel, when, what it looks like, how to mend it
+    grave: bool  # whether results that rest on the channel cannot be trusted
 
 
-def _without_consequences(said: list[HealthFinding]) -> list[HealthFinding]:
-    """Each fault of a channel once, without what follows from another one. A dropout looks like a flat stretch, too, at
-    an end of the channel's range; a density or airspeed in another unit makes level flight impossible as well."""
-    dropped = {finding.channel for finding in said if finding.fault == "dropout"}
-    said = [f for f in said if not (f.fault in ("frozen", "saturated", "quantised") and f.channel in dropped)]
-    units, first = [f for f in said if f.fault == "unit"], {}
-    for finding in units:
-        first.setdefault(finding.channel, finding)
-    blamed = {f.channel for f in said if f.fault in ("unit", "airspeed_kind", "density", "factor") and f.grave}
-    return [
-        f
-        for f in said
-        if not (f.fault == "unit" and first[f.channel] is not f)
-        and not (f.fault == "load" and blamed & {"density", "airspeed", "dynamic_pressure", "static_pressure"})
-    ]
+Findings = Iterator[HealthFinding]
+
+
+def only_following(health: Iterable[HealthFinding]) -> tuple[str, ...]:
+    """Surfaces that only follow the outputs: no derivative with respect to them is known."""
+    return tuple(dict.fromkeys(finding.channel for finding in health if finding.fault == "feedback"))
+
+
+def found(
+    record: FlightRecord,
+    channel: str,
+    fault: str,
+    sentence: str,
+    *,
+    at: tuple[int, int] | None = None,
+    grave: bool = True,
+) -> HealthFinding:
+    """A finding whose sentence begins with the record's name; `at` are its first and last sample."""
+    begin, end = (None, None) if at is None else (float(record.time[at[0]]), float(record.time[at[1]]))
+    return HealthFinding(record.name, channel, fault, begin, end, f"{record.name}: {sentence}", grave)
+
+
+def declared(card: Card, name: str) -> Channel:
+    """What the card says of a channel; of one that it does not map, the program's own unit."""
+    for channel in card.channels:
+        if channel.name == name:
+            return channel
+    standard = STANDARD_CHANNELS.get(name)
+    return Channel(name, standard.unit if standard else "1")
+
+
+def other_units(card: Card, name: str, units: Iterable[str]) -> Iterator[tuple[str, float]]:
+    """Of these units those that the card does not state, and the factor by which SI values would be larger in them."""
+    channel = declared(card, name)
+    for unit in units:
+        if same_unit(unit, channel.unit) is False:
+            yield unit, float(to_si(1.0, unit, name, channel.si) / to_si(1.0, channel.unit, name, channel.si))
+
+
+def as_filed(card: Card, name: str, values: np.ndarray | float) -> np.ndarray:
+    """SI values of a channel in the unit and with the sign of the file, rounded to six digits to undo conversion."""
+    channel = declared(card, name)
+    raw = channel.filed(np.asarray(values, float))
+    with np.errstate(all="ignore"):
+        digits = 10.0 ** (5.0 - np.floor(np.log10(np.where(raw == 0.0, 1.0, np.abs(raw)))))
+        return np.where(np.abs(raw) < 1e-9, 0.0, np.round(raw * digits) / digits)
+
+
+def shown(card: Card, name: str, value: float, *, size: bool = False) -> str:
+    """A value with the card's unit: "3.2 deg"; a size is without sign."""
+    unit = declared(card, name).unit
+    filed = float(as_filed(card, name, value))
+    return f"{abs(filed) if size else filed:.4g}" + ("" if unit == "1" else f" {unit}")
+
+
+def span(record: FlightRecord, first: int, last: int) -> str:
+    """From when to when, in words."""
+    return f"from {instant(record.time[first])} to {instant(record.time[last])} s"
+
+
+# --- What was decided when the record was read.
+
+
+def decided(record: FlightRecord, _card: Card) -> Findings:
+    """Optional channels that no sound record could have and that were left out; text that could mean two things."""
+    for name, why in record.dropped.items():
+        yield found(record, name, "left_out", f"{why}; it is not required and was left out", grave=False)
+    for remark in record.remarks:
+        yield found(record, "record", "read", remark, grave=False)
+
+
+# --- Records too short for the filters and for the motion of the aircraft.
+
+ENDS = 30  # samples at both ends together that the smoother (7) and the differentiator (8) distort
+SHARE = 0.25  # of a record that may be ends
+CHORDS = 120.0  # lengths travelled: two short periods, or a separation and, at 20 to 30 chords, its reattachment
+LEAST = 5.0  # s, where the card states no chord
+
+
+def short(record: FlightRecord, card: Card) -> Findings:
+    """A finding if the record is shorter than a manoeuvre must be to be identified by itself."""
+    lasts = float(record.time[-1] - record.time[0])
+    chord = float(card.aircraft.chord)
+    speed = float(np.median(record["airspeed"])) if record.has("airspeed") else np.nan
+    motion = CHORDS * chord / speed if np.isfinite(chord) and chord > 0.0 and speed > 5.0 else LEAST
+    ends = 0.0 if card.linear is not None else ENDS / SHARE * record.dt  # a linear model is flown, nothing is filtered
+    motion = min(motion, LEAST) if card.linear is not None else motion
+    needed = max(motion, ends)
+    if lasts >= needed:
+        return
+    why = (
+        f"{CHORDS:.0f} chords of flight, in which an aircraft has answered a control and a stall has come and gone"
+        if motion >= ends
+        else f"{ENDS} samples at the ends, which the filters distort, must not be more than a quarter of it"
+    )
+    least, has = np.ceil(10.0 * needed) / 10.0, np.floor(10.0 * lasts) / 10.0  # never the same number
+    sentence = (
+        f"the record is too short: {has:g} s, and {least:g} s are needed ({why}); estimates can be off by "
+        "several standard errors, so give the whole manoeuvre with some seconds of trimmed flight before it"
+    )
+    yield found(record, "record", "short", sentence, at=(0, record.n - 1))
+
+
+# --- Simple measures of a recorded signal: how it scatters, steps, repeats.
+
+CONTROLS = frozenset(
+    {"elevator", "elevator_left", "elevator_right", "elevon_left", "elevon_right", "canard", "stabilizer", "rudder"}
+    | {"aileron", "aileron_left", "aileron_right", "flap", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right"}
+    | {"gear", "engine_speed", "throttle", "throttle_left", "throttle_right", "n1_left", "n1_right", "fuel_used"}
+    | {"thrust_left", "thrust_right", "thrust"}
+)
+"""Channels that may rightly stand still, step, and rest at a stop."""
+
+NOISY = 0.5  # of the variance: beyond it a function of the channel is one of its noise; our choice
+STEPPED, SMALL = 0.4, 0.1  # share of steps that are smaller than a tenth of the large ones: Gaussian noise has 0.13
+
+
+def channels_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
+    """The record's channels and what the card states where nothing was recorded, each (n,) in SI."""
+    stated = {name: np.full(record.n, value) for name, value in card.constants.items()}
+    return {**stated, **record.channels}
+
+
+def noise_of(*parts: np.ndarray) -> float:
+    """Standard deviation of the noise of (n,) samples that is new at each, outliers left out; zero below 8 samples.
+    Steps, spikes and passages of buffet do not count; a channel that mostly stands still has none. Source: third
+    differences of white noise have 20 times its variance; 1.4826 times the median of their size is their standard
+    deviation. Several `parts` follow each other with gaps."""
+    if sum(map(len, parts)) < 8:
+        return 0.0
+    third = np.concatenate([np.diff(x, 3) for x in parts])
+    return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0))
+
+
+def noise_alone(x: np.ndarray, *parts: np.ndarray) -> bool:
+    """Whether more than half of what (n,) samples scatter about the mean, of each of `parts`, is white noise."""
+    parts = parts or (x,)
+    return bool(noise_of(*parts) ** 2 > NOISY * float(sum(len(p) * np.var(p) for p in parts)) / len(x))
+
+
+def quantum_of(x: np.ndarray) -> float:
+    """The step in which (n,) samples are recorded; zero if they are continuous. Small steps between those of a channel
+    computed from a quantised one (airspeed from a pressure) are not counted."""
+    steps = np.abs(np.diff(x))
+    if not np.any(steps > 0.0):
+        return 0.0
+    large = float(np.quantile(steps[steps > 0.0], 0.9))
+    if np.mean(steps <= SMALL * large) < STEPPED:
+        nonzero = steps[steps > 1e-9 * large]
+        repeated = 1.0 - len(np.unique(x)) / len(x)
+        return float(np.quantile(nonzero, 0.05)) if repeated > 0.5 else 0.0
+    return float(np.median(steps[steps > SMALL * large]))
+
+
+def level_step(x: np.ndarray) -> float:
+    """The distance of neighbouring levels of (n,) samples that take few values; zero if they take many."""
+    levels = np.unique(x)
+    if len(levels) < 2 or len(levels) > len(x) / 4:
+        return 0.0
+    gaps = np.diff(levels)
+    return float(np.median(gaps[gaps > 1e-6 * np.ptp(levels)]))
+
+
+def quantum(x: np.ndarray) -> float:
+    """The least distance of different values among (n,) samples, which is that of the last digit written; 0 if none."""
+    gaps = np.diff(np.unique(x))
+    gaps = gaps[gaps > 1e-9 * np.max(np.abs(x), initial=0.0)]
+    return float(gaps.min()) if len(gaps) else 0.0
+
+
+def runs_of(equal: np.ndarray) -> Iterator[tuple[int, int]]:
+    """First and last index of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], equal.astype(np.int8), [0]])))
+    for first, after in edges.reshape(-1, 2):
+        yield int(first), int(after) - 1
+
+
+def still_runs(x: np.ndarray) -> list[tuple[int, int]]:
+    """First and last sample of each run of two or more equal values."""
+    return [(first, last + 1) for first, last in runs_of(np.diff(x) == 0.0)]
+
+
+# --- Records of different sampling rates in one job.
+
+SAME_RATE = 0.01  # relative difference of rates that is none
+
+
+def different_rates(records: Sequence[FlightRecord]) -> Findings:
+    """A finding for the first record whose rate is not that of the others, with all rates."""
+    rates = np.array([1.0 / record.dt for record in records])
+    off = np.flatnonzero(np.abs(np.log(rates / rates[:1])) > SAME_RATE)
+    if not len(off):
+        return
+    listed = ", ".join(f"{r.name} {rate:.4g} Hz" for r, rate in zip(records, rates, strict=True))
+    sentence = (
+        f"the records have different sampling rates ({listed}): filters span samples, so derivatives and noise differ "
+        f"between them; identify brings them to the lowest rate by default, elsewhere resample "
+        f"(--resample {1.0 / rates.min():.4g})"
+    )
+    yield found(records[int(off[0])], "time", "rates", sentence)
+
+
+# --- One flight given twice, also cut, renamed, rounded or thinned out: samples are compared, not names.
+
+FIRST = ("q", "alpha", "az", "theta", "airspeed", "elevator", "p", "ax", "phi", "altitude", "r", "beta", "ay")
+"""Channels that tell flights apart best; those of a card's own names come after them."""
+FEWEST = 40  # samples in common
+NEAR = 0.5  # correlation of sample-to-sample differences from which a shift of time is looked at closely
+SAME_CORRELATION = 0.999  # the same, noise included, that two flights never have
+CHANNELS = 2  # channels that must agree, at least
+OTHERWISE = 2  # channels that may differ: repaired or filtered anew in one of the files
+SLOWER = 20  # times, at most, that one of the records may be the slower
+COARSEST = 0.1  # of a channel's range: the largest digit to which it may be rounded and still tell
+
+
+def same_records(records: Sequence[FlightRecord]) -> Findings:
+    """A finding for each pair of records that share samples."""
+    for j, two in enumerate(records):
+        for one in records[:j]:
+            if (shared := repeats_of(one, two)) is not None:
+                words, at = shared
+                words += ", so the flight counts twice and every interval is too narrow; give the flight once"
+                yield found(two, "record", "same_record", words, at=at)
+
+
+def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, int]] | None:
+    """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing."""
+    slow = max(one.dt, two.dt)
+    every = [round(slow / record.dt) for record in (one, two)]
+    if max(every) > SLOWER or any(abs(k * r.dt - slow) > 1e-3 * slow for k, r in zip(every, (one, two), strict=True)):
+        return None
+    names = [n for n in FIRST if n in one.channels] + [n for n in one.channels if n not in FIRST]
+    names = [n for n in names if n in two.channels and np.ptp(one[n]) > 0.0 and np.ptp(two[n]) > 0.0]
+    if len(names) < CHANNELS:
+        return None
+    for begin in product(*map(range, every)):
+        x, y = ({n: r[n][b::k] for n in names} for r, b, k in zip((one, two), begin, every, strict=True))
+        if (shared := _shared(x, y)) is not None:
+            first, count = shared
+            lengths = len(x[names[0]]), len(y[names[0]])
+            part = "shares a part with the record"
+            if count >= min(lengths) - 2:
+                part = f"is {'' if lengths[0] == lengths[1] else 'part of '}the same record as"
+            ends = (begin[1] + every[1] * first, begin[1] + every[1] * (first + count - 1))
+            return f"{part} {one.name}: {count} samples ({count * slow:.4g} s) are the same samples", ends
+    return None
+
+
+def _shared(one: Mapping[str, np.ndarray], two: Mapping[str, np.ndarray]) -> tuple[int, int] | None:
+    """First sample in `two` and number of the samples that both have; None if there are none."""
+    for lead in list(one)[:3]:
+        lag = _lag(np.diff(one[lead]), np.diff(two[lead]))
+        if lag is None:
+            continue
+        begin, end = max(0, -lag), min(len(two[lead]), len(one[lead]) - lag)  # samples of `two` that `one` has, too
+        alike = sum(alike_samples(one[n][begin + lag : end + lag], two[n][begin:end]) for n in one)
+        if alike >= max(CHANNELS, len(one) - OTHERWISE):
+            return begin, end - begin
+    return None
+
+
+def alike_samples(x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether two channels step alike, noise included, or differ by no more than their last digits."""
+    dx, dy = np.diff(x), np.diff(y)
+    power = np.sqrt(float(dx @ dx) * float(dy @ dy))
+    digit = quantum(x) + quantum(y)
+    rounded = digit < COARSEST * np.ptp(y) and float(np.max(np.abs(x - y))) <= 0.51 * digit
+    return bool(rounded or (power > 0.0 and float(dx @ dy) > SAME_CORRELATION * power))
+
+
+def _lag(x: np.ndarray, y: np.ndarray) -> int | None:
+    """By how many samples y lies behind x where the two correlate best, among overlaps that are long enough."""
+    size = 1 << (len(x) + len(y) - 1).bit_length()
+    spectra = np.fft.rfft(x, size) * np.fft.rfft(y[::-1], size)
+    product = np.fft.irfft(spectra, size)[: len(x) + len(y) - 1]
+    lags = np.arange(-(len(y) - 1), len(x))
+    power_x, power_y = (np.concatenate([[0.0], np.cumsum(v**2)]) for v in (x, y))
+    begin = np.maximum(0, -lags)
+    end = np.minimum(len(y), len(x) - lags)
+    power = (power_x[end + lags] - power_x[begin + lags]) * (power_y[end] - power_y[begin])
+    long = (end - begin >= FEWEST) & (power > 1e-12 * power_x[-1] * power_y[-1])
+    if not long.any():
+        return None
+    score = np.where(long, product / np.sqrt(np.where(long, power, 1.0)), -1.0)
+    best = int(np.argmax(score))
+    return int(lags[best]) if score[best] > NEAR else None
+
+
+# --- Whether the sensors of records agree along the flight path: the answer as plain data.
+
+
+class Agreement(StrEnum):
+    """The answer in a word."""
+
+    AGREE = "agree"
+    EXPLAINED = "disagree_explained"
+    UNEXPLAINED = "disagree_unexplained"
+    NOT_CHECKED = "not_checked"
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A channel of a record that leaves the flight path: from `begin` to `end` (s) by `rms`, where noise permits
+    `permitted` (both in the channel's SI unit, root mean square)."""
+
+    record: str
+    channel: str
+    begin: float
+    end: float
+    rms: float
+    permitted: float
+
+
+@dataclass(frozen=True)
+class PathCheck:
+    """One record: where it departs, what is left of each channel (rms) and permitted. `turbulence`: gusts that were
+    permitted, m/s, `gusts`: those that it shows; `assumed`: channels taken as zero."""
+
+    record: str
+    departures: tuple[Departure, ...]
+    rms: Mapping[str, tuple[float, float]]
+    turbulence: float
+    gusts: float
+    assumed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class OpenError:
+    """An error of a sensor that the flight path cannot decide on, SI. `asked`: it would explain much, but parts of the
+    record that were left out do not confirm it. `joint`: errors that were added with it, and the correlation, where one
+    of them is larger than sensors have: none holds by itself."""
+
+    name: str  # of the effect, which has one parameter
+    unit: str  # of that parameter
+    mean: float  # what the record says of it, were it the only error
+    sd: float  # standard error of that
+    among: float  # standard error with every other error of a sensor possible, as far as such errors usually go
+    asked: bool
+    imitators: tuple[str, ...]  # other errors that together do the same along this flight path
+    share: float  # of what it does, that they do
+    joint: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """The flight path of each record as recorded, and with `errors` of sensors and winds taken out: claim, whether
+    minor, parameters, and `joint`, others of which none holds without the other."""
+
+    why_not: str = ""  # nothing was checked; empty where it was
+    unchecked: tuple[str, ...] = ()  # channels that could not be checked, for they were not recorded
+    recorded: tuple[PathCheck, ...] = ()  # a check of each record as it is
+    corrected: tuple[PathCheck, ...] = ()  # the same with `errors` taken out; empty where none were sought or found
+    errors: Mapping[str, Mapping[str, Any]] | None = None
+    unsought: str = ""  # why no known error could be sought though the sensors disagree; empty where it could
+    open: tuple[OpenError, ...] = ()  # errors of sensors that the flight path cannot decide on
+
+    @property
+    def agreement(self) -> Agreement:
+        """Agree, disagree with or without an explanation, or not checked."""
+        if self.why_not:
+            return Agreement.NOT_CHECKED
+        if not any(check.departures for check in self.recorded):
+            return Agreement.AGREE
+        explained = self.corrected and not any(check.departures for check in self.corrected)
+        return Agreement.EXPLAINED if explained else Agreement.UNEXPLAINED
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether the sensors disagree, explained or not."""
+        return self.agreement in (Agreement.EXPLAINED, Agreement.UNEXPLAINED)
+
+    @property
+    def departures(self) -> tuple[Departure, ...]:
+        """Where records depart from their flight path; if errors explain that in part, where they still do."""
+        left = tuple(d for check in self.corrected for d in check.departures)
+        return left or tuple(d for check in self.recorded for d in check.departures)

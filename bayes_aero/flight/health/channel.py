@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
+
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.controls import TURNS, answers_no_input, answers_unmoved
-from bayes_aero.flight.health.finding import (
+from bayes_aero.flight.health import (
     CONTROLS,
     Findings,
+    HealthFinding,
     as_filed,
+    decided,
     declared,
+    different_rates,
     found,
     level_step,
     noise_of,
     quantum,
     quantum_of,
     runs_of,
+    same_records,
+    short,
     shown,
     span,
     still_runs,
 )
-from bayes_aero.flight.health.readings import RELATIONS, dead_heading, view_of
+from bayes_aero.flight.health.air import air_data, derivatives, in_flight, on_ground
+from bayes_aero.flight.health.controls import TURNS, answers_no_input, answers_unmoved, control_responses, feedback
+from bayes_aero.flight.health.kinematics import dead_heading, rates_of, refuted, view_of
 from bayes_aero.flight.record import FlightRecord
 
 OFF = 8.0  # deviations of the noise, and sizes of the usual step, that a dropout is away from its neighbours
@@ -114,6 +122,7 @@ RATES = {"q": ("theta", 0.015), "p": ("phi", 0.03), "r": ("psi", 0.03)}
 def frozen(record: FlightRecord, card: Card) -> Findings:
     """A finding for each channel with a stretch in which it does not move though it must."""
     view = view_of(record, card)
+    rates = rates_of(view)
     for name, x in record.channels.items():
         if name == "psi" and all(map(record.has, ("theta", "phi", "q", "r"))) and dead_heading(view):
             sentence = (
@@ -134,7 +143,7 @@ def frozen(record: FlightRecord, card: Card) -> Findings:
         if name in CONTROLS:
             stretches = _frozen_control(record, name, x)
         else:
-            stretches = [run for run in still_runs(x) if _frozen(record, view, name, x, run) and not _cut_off(x, run)]
+            stretches = [run for run in still_runs(x) if _frozen(record, rates, name, x, run) and not _cut_off(x, run)]
         if not stretches:
             continue
         first, last = max(stretches, key=lambda run: run[1] - run[0])
@@ -163,9 +172,8 @@ def _cut_off(x: np.ndarray, run: tuple[int, int]) -> bool:
 
 
 def _frozen_control(record: FlightRecord, name: str, x: np.ndarray) -> list[tuple[int, int]]:
-    """Runs in which a deflection that scatters elsewhere does not, or that the aircraft answers as if it moved. A
-    surface may rest, at a stop or where the pilot holds it, a flap in a detent, a lever where it was set: equal samples
-    say nothing of a clean or coarsely rounded signal, unless a surface about pitch, roll or yaw moved there."""
+    """Runs in which a deflection that scatters elsewhere does not, or that the aircraft answers as if it moved: a
+    surface may rest, so that equal samples say nothing of a clean or coarsely rounded signal."""
     runs = [run for run in still_runs(x) if (run[1] - run[0]) * record.dt >= SHORTEST]
     moving = np.delete(x, np.concatenate([np.arange(first, last + 1) for first, last in runs] or [[]]).astype(int))
     share = float(np.mean(np.diff(moving) == 0.0)) if len(moving) > SHORTEST / record.dt else 1.0
@@ -189,7 +197,7 @@ def _longest_by_chance(share: float, n: int) -> float:
     return max(float(np.log(n)) / -float(np.log(max(share, 1e-3))), 1.0) if share < 1.0 else np.inf
 
 
-def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.ndarray, run: tuple[int, int]) -> bool:
+def _frozen(record: FlightRecord, rates: dict[str, np.ndarray], name: str, x: np.ndarray, run: tuple[int, int]) -> bool:
     first, last = run
     length = last - first + 1
     if length * record.dt < SHORTEST or length < 5:
@@ -204,9 +212,9 @@ def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.
         turned = record[angle][first : last + 1]
         line = np.linspace(turned[0], turned[-1], len(turned))
         moved = np.inf if float(np.ptp(turned - line)) > enough else None
-    elif name in RELATIONS and all(need in view for need in RELATIONS[name].needs):
-        rate = RELATIONS[name].rate(view)
-        bias = np.median(rate - np.gradient(view[name], view["time"])) if name in ("alpha", "beta") else 0.0
+    elif name in rates and np.isfinite(rates[name]).all():
+        rate = rates[name]
+        bias = np.median(rate - np.gradient(x, record.time)) if name in ("alpha", "beta") else 0.0
         moved = float(np.ptp(np.cumsum(rate[first : last + 1] - bias) * record.dt))
     if moved is not None:  # by so much as the other channels say
         return moved > max(4.0 * level_step(x), 5.0 * noise_of(x), MOVED.get(name, 0.0))
@@ -273,22 +281,26 @@ def held_period(x: np.ndarray) -> float:
     changes = np.flatnonzero(np.diff(x))
     if len(changes) < FEWEST:
         return 0.0
-    lengths = np.diff(changes)
-    middle = float(np.median(lengths))
+    lengths, middle, order, off = _spacing(changes)
     if not 2.0 <= middle <= SLOWEST:
         return 0.0
     # Values may repeat from one true sample to the next, and a ratio of rates that is no integer gives two lengths.
-    order = np.maximum(np.round(lengths / middle), 1.0)
-    like = np.abs(lengths - order * middle) <= (0.0 if middle < 3.0 else 1.0) * order
+    like = off <= (0.0 if middle < 3.0 else 1.0)
     if np.mean(like) < ALIKE or np.mean(order == 1.0) < 0.5 or np.mean(lengths == 1) > 1.0 - ALIKE:
         return 0.0
-    usual = lengths[like & (order == 1.0)]
-    return float(np.mean(usual))
+    return float(np.mean(lengths[like & (order == 1.0)]))
+
+
+def _spacing(at: Sequence[int] | np.ndarray) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+    """Samples from one to the next, their median, how often it goes into each, and what that misses a time."""
+    lengths = np.diff(at)
+    middle = float(np.median(lengths))
+    order = np.maximum(np.round(lengths / middle), 1.0)
+    return lengths, middle, order, np.abs(lengths / order - middle)
 
 
 def interpolated_period(x: np.ndarray) -> float:
-    """Samples between the corners of a signal that is made of straight lines; zero if it is not. Corners a whole number
-    of samples apart are found under coarse rounding, others where they are far apart and clear."""
+    """Samples between the corners of a signal that is made of straight lines; zero if it is not."""
     bends = np.abs(np.diff(x, 2))
     if len(bends) < 4 * FEWEST or not bends.any():
         return 0.0
@@ -300,21 +312,16 @@ def interpolated_period(x: np.ndarray) -> float:
     corners = [first for first, _ in runs_of(bent)]
     if len(corners) <= CORNERS or bent.sum() > 2.1 * len(corners):  # two samples, where a corner falls between them
         return 0.0
-    lengths = np.diff(corners)
-    middle = float(np.median(lengths))
-    order = np.maximum(np.round(lengths / middle), 1.0)  # a corner may be too flat to be seen
-    like = np.abs(lengths - order * middle) <= order
-    if middle < SPARSE or like.mean() < ALIKE or np.mean(order == 1.0) < 0.5:
-        return 0.0
-    return float(lengths.sum() / order.sum())
+    lengths, middle, order, off = _spacing(corners)  # a corner may be too flat to be seen
+    regular = middle >= SPARSE and np.mean(off <= 1.0) >= ALIKE and np.mean(order == 1.0) >= 0.5
+    return float(lengths.sum() / order.sum()) if regular else 0.0
 
 
 def _between_knots(x: np.ndarray) -> int:
     """The largest whole period of straight lines between every so many of (n,) values; zero where there is none.
-    Rounding moves no sample by more than a step from the line between two others. So the samples lie within a step of
-    the lines between knots. They lie further from lines between the samples halfway. By chance `ENDS` lines are all of
-    the second kind once in 2 to the power of `ENDS`. A smooth signal departs from both kinds or from neither. Knots
-    between samples are not sought: under coarse rounding such a signal is not found."""
+    Rounding moves no sample by more than a step from the line between two others: samples lie that near the lines
+    between knots, and further from those between the samples halfway. By chance `ENDS` lines are all of the second kind
+    once in 2 to the power of `ENDS`. Knots between samples are not sought."""
     best, step = 0, quantum(x)
     for period in range(2, min(SLOWEST, len(x) // FEWEST) + 1):
         lag = period // 2
@@ -501,3 +508,41 @@ def jumps(x: np.ndarray) -> tuple[np.ndarray, float]:
         if len(inside):
             return inside[np.diff(inside, prepend=-WITHIN - 9) > WITHIN], float(np.degrees(turn))
     return np.zeros(0, int), 0.0
+
+
+# --- Every check of a record.
+
+_CHECKS: tuple[Callable[[FlightRecord, Card], Iterable[HealthFinding]], ...] = (
+    air_data, derivatives, dropouts, frozen, held, saturated, quantised, wrapped, short, idle, decided,
+)  # fmt: skip
+
+
+def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthFinding, ...]:
+    """Everything that is wrong with records by themselves, one finding a fault; grave findings first."""
+    said: list[HealthFinding] = []
+    for record in records:
+        flown = in_flight(record, card)
+        misread, read = refuted(flown, card)
+        others = [finding for check in _CHECKS for finding in check(flown, card)]
+        findings = _without_consequences([*misread, *others, *control_responses(read, card)])
+        if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind", "factor") for f in findings):
+            said += on_ground(record, card)
+        said += findings
+    said += [*same_records(records), *different_rates(records), *feedback(records, card)]
+    return tuple(sorted(said, key=lambda finding: not finding.grave))
+
+
+def _without_consequences(said: list[HealthFinding]) -> list[HealthFinding]:
+    """Each fault of a channel once, without what follows from another one."""
+    dropped = {finding.channel for finding in said if finding.fault == "dropout"}
+    said = [f for f in said if not (f.fault in ("frozen", "saturated", "quantised") and f.channel in dropped)]
+    units, first = [f for f in said if f.fault == "unit"], {}
+    for finding in units:
+        first.setdefault(finding.channel, finding)
+    blamed = {f.channel for f in said if f.fault in ("unit", "airspeed_kind", "density", "factor") and f.grave}
+    return [
+        f
+        for f in said
+        if not (f.fault == "unit" and first[f.channel] is not f)
+        and not (f.fault == "load" and blamed & {"density", "airspeed", "dynamic_pressure", "static_pressure"})
+    ]

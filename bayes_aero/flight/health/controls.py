@@ -11,7 +11,7 @@ from scipy.linalg import solve_banded
 from scipy.optimize import fminbound
 
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import CONTROLS, Findings, declared, found, noise_alone, noise_of
+from bayes_aero.flight.health import CONTROLS, Findings, declared, found, noise_alone, noise_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import Axis
 
@@ -43,6 +43,7 @@ OTHERS = (("beta", "p", "r", "phi", "airspeed"), ("alpha", "q", "theta", "airspe
 """What a law of the elevator, and one of ailerons or rudder, do not integrate."""
 ANGLE_OF = {"q": "theta", "p": "phi", "r": "psi"}
 MAX_LAG, DELAYS = 0.5, (0.0, 0.1, 0.2)  # s, of an actuator or a filter between outputs and surface
+LAG_ERROR = 1e-3  # s to which a lag is found
 OWN, NOTHING = 0.05, 1e-3
 """Share of a surface's motion that must be its own where it is above noise, and at all. Our choice: on recorded
 manoeuvres of three aircraft the surface that is flown has more than 0.02 of its own, 4 times its noise or more."""
@@ -86,8 +87,7 @@ LATERAL = (
 
 
 def control_responses(record: FlightRecord, card: Card) -> Findings:
-    """Findings where an angular acceleration answers a positive deflection the wrong way. Aileron and rudder are looked
-    at for cards of the lateral axis alone: others leave their sign to the user."""
+    """Findings where an angular acceleration answers a positive deflection the wrong way."""
     for control in (ELEVATOR, *(LATERAL if Axis.LATERAL in card.axes else ())):
         fitted, surface = _fitted(control, record), control.surface
         if fitted is None or fitted.response < max(SURE * fitted.error, RESPONSE):
@@ -102,12 +102,10 @@ def control_responses(record: FlightRecord, card: Card) -> Findings:
 
 
 def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
-    """Whether the aircraft turns in a run of samples as if a surface moved that stands still there. The angular
-    acceleration is fitted to the surface, the others about that axis and the motion where the surface moves. In the run
-    it must miss what only a deflection of `UNSEEN` makes, and more than where the surface was recorded, in flight that
-    is less than the fitted range beyond it. A surface about the pitch axis is also told as one without any signal is,
-    in the run alone. An aileron or a rudder is not told where less than about 8 s are left in which it moves: gusts
-    roll and yaw an aircraft, too."""
+    """Whether the aircraft turns in a run of samples as if a surface moved that stands still there: the angular
+    acceleration, fitted where the surface moves, must miss what only a deflection of `UNSEEN` makes, in flight that is
+    less than the fitted range beyond it. An aileron or a rudder is not told where less than about 8 s are left in which
+    it moves: gusts roll and yaw an aircraft, too."""
     control = next((c for c in (ELEVATOR, *LATERAL) if name in TURNS[c.surface]), None)
     if control is None or (run[1] - run[0]) * record.dt < LONGEST_REST:
         return False
@@ -130,9 +128,8 @@ def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bo
 
 
 def answers_no_input(record: FlightRecord) -> bool:
-    """Whether the aircraft pitches as neither motion nor a surface that moves explains. A rudder or an aileron may well
-    be left alone. A manoeuvre may be a small part of the record, and a stall is not linear over the whole: each stretch
-    is fitted by itself. Products of p and r turn the nose by inertia."""
+    """Whether the aircraft pitches as neither motion nor a surface that moves explains. Each stretch is fitted by
+    itself: a stall is not linear over the whole. Products of p and r turn the nose by inertia."""
     stretch = round(4.0 * SLOW / record.dt)
     if not all(map(record.has, ELEVATOR.beside)) or record.n < stretch:
         return False
@@ -176,8 +173,7 @@ def _deflected(record: FlightRecord) -> list[str]:
 
 
 def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, int] | None = None) -> _Fit | None:
-    """The fit to all samples, or to those outside a run in which a surface about the axis stands still, beside the
-    other surfaces; None where surface or motion are not there."""
+    """The fit to all samples, or to those `outside` a run in which a surface about the axis stands still."""
     surface = control.surface if outside is None or outside[0] in PAIR else outside[0]
     deflection = _deflection(surface, record)
     if deflection is None or not all(map(record.has, control.beside)) or record.n * record.dt < 4.0 * SLOW:
@@ -206,10 +202,9 @@ def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, in
 
 
 def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
-    """Findings for surfaces that follow the outputs, to within noise, in every record in which they move. Then the law
-    of the feedback fits the record as well as the aircraft does. A slow manoeuvre, in which the surface only trims, is
-    no better. A pilot's input beside the feedback in one of the records separates the two. Source: L. Ljung, System
-    Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft)."""
+    """Findings for surfaces that follow the outputs, to within noise, in every record in which they move: the law of
+    the feedback fits as well as the aircraft does. A pilot's input beside it separates the two. Source: L. Ljung,
+    System Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft)."""
     if card.linear is not None:
         surfaces = [name for name in card.linear.inputs if name in CONTROLS]
     else:
@@ -232,10 +227,8 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
 
 
 def law_of(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str] | None:
-    """The outputs that a surface follows and how much of its motion is left; no outputs where it has its own. Integrals
-    of the outputs are tried where the outputs themselves do not make the motion and the record is long enough; then
-    both between limits of the surface. None where the surface drifts or decays at most, or the record is too short to
-    tell."""
+    """The outputs that a surface follows (none where it has its own motion) and how much of its motion is left; None
+    where it drifts or decays at most, or the record is too short. Integrals and limits are tried where they must be."""
     u = _deflection(surface, record)
     recorded = [n for n in dict.fromkeys((*OUTPUTS, *(card.linear.states if card.linear else ()))) if record.has(n)]
     moved = [n for n in recorded if np.ptp(record[n]) > 0.0 and not noise_alone(record[n])]
@@ -312,8 +305,7 @@ class _Followed(NamedTuple):
 def _followed(
     u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt: float, longest: float, limits: _Limits | None
 ) -> _Followed:
-    """The best law of outputs behind a lag of at most `longest` s and a delay, fitted to the samples within limits;
-    without outputs, what drifts and decays in time alone."""
+    """The best law of outputs behind a lag of at most `longest` s and a delay, fitted to the samples within limits."""
     window = SMOOTH / dt
     # Noise of a regressor makes its weight too small: the law is fitted to what is smoothed.
     inside = _inside(u, dt)
@@ -329,7 +321,7 @@ def _followed(
 
     tried = []
     for delay in (round(d / dt) for d in DELAYS):
-        best = np.asarray(fminbound(lambda lag, d=delay: float(np.var(law(lag, d)[1])), 0.0, longest))
+        best = np.asarray(fminbound(lambda lag, d=delay: float(np.var(law(lag, d)[1])), 0.0, longest, xtol=LAG_ERROR))
         tried += [(float(np.var(law(lag, delay)[1])), lag, delay) for lag in (0.0, float(best.flat[0]))]
     _, lag, delay = min(tried)
     weights, left = law(lag, delay)
@@ -361,14 +353,13 @@ def _inside(u: np.ndarray, dt: float) -> slice:
 def _late(
     x: Float[np.ndarray, "k n"], u: Float[np.ndarray, " n"], free: np.ndarray, lag: float, dt: float
 ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"]]:
-    """Signals behind a lag of first order, and what the surface's own position adds behind it. The lag begins at the
-    surface's position: at the first sample, and after each sample at a limit."""
+    """Signals behind a lag of first order, and what the surface's own position adds, where it begins and at limits."""
     pole = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0
     held = ~free | (np.arange(len(u)) == 0)
     # y - pole y(one earlier) = (1 - pole) x as a banded system: `scipy.signal` is slow to load, and `check` needs this.
     bands = np.array([np.ones(len(u)), np.append(np.where(held[1:], 0.0, -pole), 0.0)])
     driven = np.concatenate([np.where(held, 0.0, (1.0 - pole) * x), [np.where(held, u, 0.0)]])
-    *late, own = solve_banded((1, 0), bands, driven.T).T
+    *late, own = solve_banded((1, 0), bands, driven.T, check_finite=False).T
     return np.array(late), own
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import re
 import subprocess
 import sys
@@ -11,17 +12,16 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date, datetime, time, timedelta
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.readers.base import (
+from bayes_aero.flight.readers import (
     MAX_VALUES,
     MOST_HEADINGS,
     MOST_VALUES_IN_ALL,
@@ -32,15 +32,13 @@ from bayes_aero.flight.readers.base import (
     SampleGroup,
     Series,
     foreign,
-    is_value,
     refuse_huge,
     several_rates,
     stated_unit,
     unpacked,
-    value_share,
     vector,
 )
-from bayes_aero.flight.readers.text import CELL, MOST_HEADER_ROWS, laid_out, text_table
+from bayes_aero.flight.readers.text import CELL, MOST_HEADER_ROWS, is_value, laid_out, text_table, value_share
 from bayes_aero.units import same_unit
 
 TIME_LIMIT, PER_MEGABYTE = 20.0, 2.0
@@ -51,11 +49,10 @@ MOST_COLUMNS = 50_000
 
 
 def ask_child(
-    data: bytes, parser: str, request: Sequence[Any], limit: float, slow: str, crashed: str, kind: str
-) -> tuple[dict, memoryview]:
-    """What a parser of `child.py` replies on a file, and the bytes of the arrays behind it. `request` is what it is
-    given beside the file. If it takes more than `limit` s, or dies, `slow` or `crashed` is raised; `kind` is what the
-    file is called to the user."""
+    data: bytes, parser: str, request: Sequence[Any], kind: str, slow: str, crashed: str, limit: float
+) -> tuple[dict, list[np.ndarray]]:
+    """What a parser of `child.py` replies to a request on a file, and the arrays behind it. `slow` or `crashed` is
+    raised if it takes more than `limit` s, or dies; `kind` is what the file is called to the user."""
     # -P: the child must not take this folder's modules for libraries.
     command = [sys.executable, "-P", str(Path(__file__).parent / "child.py"), parser, json.dumps(request)]
     try:
@@ -72,7 +69,11 @@ def ask_child(
         raise InputError(f"it is not a readable {kind} ({reply['error']}); is it damaged or misnamed? Write it again")
     if "refused" in reply:
         raise InputError(reply["refused"])
-    return reply, memoryview(done.stdout)[end + 1 :]
+    arrays, start = [], end + 1
+    for dtype, size in reply["arrays"]:
+        arrays.append(np.frombuffer(done.stdout, dtype, size, start))
+        start += arrays[-1].nbytes
+    return reply, arrays
 
 
 def parsed_apart(data: bytes, parser: str, kind: str) -> tuple[list[SampleGroup], list[str]]:
@@ -80,16 +81,12 @@ def parsed_apart(data: bytes, parser: str, kind: str) -> tuple[list[SampleGroup]
     limit = TIME_LIMIT + PER_MEGABYTE * len(data) / 1e6
     slow = f"the library that reads a {kind} did not finish in {limit:.0f} s; is it damaged? Write it again"
     crashed = f"the library that reads a {kind} crashed on it; is it damaged? Write it again"
-    reply, payload = ask_child(data, parser, [MOST_BYTES, MOST_COLUMNS], limit, slow, crashed, kind)
-    groups, start = [], 0
+    reply, arrays = ask_child(data, parser, [MOST_BYTES, MOST_COLUMNS], kind, slow, crashed, limit)
+    left, groups = iter(arrays), []
     for listed in reply["groups"]:
-        arrays = []
-        for dtype in ("<f8" if sys.byteorder == "little" else ">f8", *(column[2] for column in listed["columns"])):
-            arrays.append(np.frombuffer(payload, np.dtype(dtype), listed["size"], start))
-            start += arrays[-1].nbytes
-        columns = zip(listed["columns"], arrays[1:], strict=True)
-        series = tuple(Series(tuple(names), unit, values) for (names, unit, _), values in columns)
-        groups.append(SampleGroup(listed["name"], arrays[0], series))
+        time = next(left)
+        series = tuple(Series(tuple(names), unit, next(left)) for names, unit in listed["columns"])
+        groups.append(SampleGroup(listed["name"], time, series))
     return groups, reply["remarks"]
 
 
@@ -106,49 +103,108 @@ def require(suffix: str, *libraries: str) -> None:
             )
 
 
-# --- ArduPilot DataFlash logs, read by pymavlink: a column is a field of a message, as in "ATT.Roll".
+def log_reader(
+    suffix: str, library: str, parser: str, kind: str, column: str, tick: float, problem: Callable[[bytes], str]
+) -> Callable[[bytes], OpenedFile]:
+    """What opens logs of one format; see `parsed_apart` and `several_rates`. `problem`: why a file is none."""
+
+    def opens(data: bytes) -> OpenedFile:
+        require(suffix, library)
+        if reason := problem(data):
+            raise InputError(reason)
+        return several_rates(column, *parsed_apart(data, parser, kind), tick)
+
+    return opens
 
 
-def open_dataflash(data: bytes) -> OpenedFile:
-    """A binary DataFlash log. Instances go by their number, "IMU[1].GyrX", and an only one also by "IMU.GyrX". Source:
-    ArduPilot, AP_Logger: FMT, FMTU, UNIT and MULT messages describe all others."""
-    require(".bin", "pymavlink")
-    if b"\xa3\x95" not in data[:600]:
-        raise InputError("it is not an ArduPilot DataFlash log (no message begins near its start); is it misnamed?")
-    groups, remarks = parsed_apart(data, "dataflash", "DataFlash log")
-    return several_rates("field", groups, remarks, 1e-6)
-
-
-# --- ASAM MDF version 4, read by asammdf: a column is a signal of a channel group.
-
-
-def open_mdf(data: bytes) -> OpenedFile:
-    """An MDF file. A signal goes by "group/name" and, where no other group has one of its name, by its name alone.
-    Source: ASAM MDF 4.1, section 4: one channel group has one master channel."""
-    require(".mf4", "asammdf")
+def _no_mdf(data: bytes) -> str:
     if data[:8] not in (b"MDF     ", b"UnFinMF "):
-        raise InputError("it is not an MDF file (its first bytes differ); is it misnamed?")
-    if not data[8:16].startswith(b"4."):
-        said = data[8:16].decode("latin-1").strip("\0 ")
-        raise InputError(f"it is an MDF file of version {said!r}; convert it to version 4, and save it as .mf4")
-    groups, remarks = parsed_apart(data, "mdf", "MDF file")
-    return several_rates("signal", groups, remarks, 1e-9)
+        return "it is not an MDF file (its first bytes differ); is it misnamed?"
+    said = data[8:16].decode("latin-1").strip("\0 ")
+    return (
+        ""
+        if said[:2] == "4."
+        else f"it is an MDF file of version {said!r}; convert it to version 4, and save it as .mf4"
+    )
 
 
-# --- PX4 ULog, read by pyulog: a column is a field of a topic, as in "vehicle_attitude.q[0]".
+# A column is a field of a message, "ATT.Roll": instances go by their number, "IMU[1].GyrX", and an only one also by
+# "IMU.GyrX". Source: ArduPilot, AP_Logger: FMT, FMTU, UNIT and MULT messages describe all others.
+NO_DATAFLASH = "it is not an ArduPilot DataFlash log (no message begins near its start); is it misnamed?"
+open_dataflash = log_reader(
+    ".bin", "pymavlink", "dataflash", "DataFlash log", "field", 1e-6,
+    lambda data: "" if b"\xa3\x95" in data[:600] else NO_DATAFLASH,
+)  # fmt: skip
+# A column is a signal of a channel group: "group/name" and, where no other group has one of its name, its name alone.
+# Source: ASAM MDF 4.1, section 4: one channel group has one master channel.
+open_mdf = log_reader(".mf4", "asammdf", "mdf", "MDF file", "signal", 1e-9, _no_mdf)
+# A column is a field of a topic, "vehicle_attitude.q[0]"; a second instance of a topic goes by its number:
+# "sensor_accel.1.x". Source: PX4 ULog file format, version 1.
+NO_ULOG = "it is not a PX4 ULog file (its first bytes differ); is it misnamed?"
+open_ulog = log_reader(
+    ".ulg", "pyulog", "ulog", "ULog file", "field", 1e-6,
+    lambda data: "" if data.startswith(b"ULog\x01\x12\x35") else NO_ULOG,
+)  # fmt: skip
 
 
-def open_ulog(data: bytes) -> OpenedFile:
-    """A ULog file. A second instance of a topic goes by its number: "sensor_accel.1.x". Source: PX4 ULog file format,
-    version 1."""
-    require(".ulg", "pyulog")
-    if not data.startswith(b"ULog\x01\x12\x35"):
-        raise InputError("it is not a PX4 ULog file (its first bytes differ); is it misnamed?")
-    groups, remarks = parsed_apart(data, "ulog", "ULog file")
-    return several_rates("field", groups, remarks, 1e-6)
+# --- Files of named arrays: HDF5, NetCDF, MATLAB, Parquet.
 
 
-# --- HDF5: NetCDF-4 and MATLAB's v7.3.
+class Variable(NamedTuple):
+    """An array before its values are read: names that it goes by, its shape, and why it can be no channel. One of two
+    dimensions is a channel a column, or a row where it has fewer rows than columns."""
+
+    key: str
+    names: tuple[str, ...]
+    shape: tuple[int, ...]
+    unit: str | None = None
+    problem: str = ""
+
+    @property
+    def columns(self) -> int:
+        """Channels of a matrix; 0 for a vector."""
+        return min(self.shape) if not self.problem and len(self.shape) == 2 and min(self.shape) > 1 else 0
+
+
+Places = dict[
+    str, tuple[str, int | None]
+]  # by channel the key of a variable and, of a matrix, the number of the column
+
+
+def named_arrays(
+    variables: Sequence[Variable], load: Callable[[Places], dict[str, np.ndarray]], kind: str = "variable",
+    *, numbered: bool = False, of_columns: Sequence[str] = (),
+) -> OpenedFile:  # fmt: skip
+    """A file of such variables, of which `load` gives numbers. The columns of an only matrix go by their numbers and,
+    if there are as many, by the names `of_columns`. `numbered`: a variable's place in the file is its number."""
+    only = sum(v.columns > 0 for v in variables) == 1
+    places: dict[Heading, tuple[Variable, int | None]] = {}
+    for number, v in enumerate(variables, 1):
+        if not v.columns:
+            places[Heading(v.names, number if numbered else None, v.unit)] = (v, None)
+        formed = len(of_columns) != v.columns
+        for k in range(v.columns):
+            names = tuple(f"{name}(:,{k + 1})" for name in v.names) if formed else (of_columns[k],)
+            places[Heading(names, k + 1 if only else None, v.unit, formed)] = (v, k)
+
+    def read(wanted: Mapping[str, Heading]) -> dict[str, FileColumn]:
+        for name, heading in wanted.items():
+            variable, label = places[heading][0], heading.names[0]
+            if variable.problem:
+                raise InputError(f"channel {name} ({label!r}) {variable.problem}")
+            refuse_huge(name, label, math.prod(variable.shape), len(wanted))
+        loaded = load({name: (places[h][0].key, places[h][1]) for name, h in wanted.items()})
+        return {name: FileColumn(loaded[name], heading.unit) for name, heading in wanted.items()}
+
+    return OpenedFile(list(places), read, kind)
+
+
+def by_path(paths: Iterable[str], gap: str) -> dict[str, tuple[str, ...]]:
+    """The names of each path: its last part where no other path ends in it, and the whole, with dots."""
+    often = Counter(path.rsplit(gap, 1)[-1] for path in paths)
+    names = {path: (path.rsplit(gap, 1)[-1], path.replace(gap, ".")) for path in paths}
+    return {path: tuple(dict.fromkeys(both if often[both[0]] == 1 else both[1:])) for path, both in names.items()}
+
 
 HDF5 = b"\x89HDF\r\n\x1a\n"  # what such a file begins with; MATLAB's has 512 bytes of its own before it
 OBJECT = (
@@ -158,64 +214,32 @@ OBJECT = (
 
 
 def open_hdf5(data: bytes, kind: str) -> OpenedFile:
-    """The datasets of an HDF5 file; `kind` names it to the user. A dataset in a group goes by its path ("flight.T")
-    and, where no other has it, by its own name. The columns of an only matrix go by their numbers."""
+    """The datasets of a NetCDF-4 or MATLAB v7.3 file; `kind` names it to the user."""
     if find_spec("h5py") is None:
         raise InputError(f"this {kind} is an HDF5 file, and h5py is not installed; install h5py, or write .csv")
 
-    def ask(wanted: Sequence[tuple[str, int | None]]) -> tuple[dict, memoryview]:
-        damaged = f"the {kind} is damaged: write it again"
-        slow = f"the HDF5 library did not finish reading it in {TIME_LIMIT:g} s; {damaged}"
-        request = [wanted, PACKING, MAX_VALUES, MOST_VALUES_IN_ALL]
-        crashed = f"the HDF5 library crashed on it; {damaged}"
-        return ask_child(data, "hdf5", request, TIME_LIMIT, slow, crashed, kind)
+    def ask(wanted: Sequence[tuple[str, int | None]]) -> tuple[dict, list[np.ndarray]]:
+        slow = f"the HDF5 library did not finish reading it in {TIME_LIMIT:g} s; the {kind} is damaged: write it again"
+        crashed = f"the HDF5 library crashed on it; the {kind} is damaged: write it again"
+        return ask_child(data, "hdf5", [wanted, PACKING], kind, slow, crashed, TIME_LIMIT)
+
+    def load(places: Places) -> dict[str, np.ndarray]:
+        reply, arrays = ask([*places.values()])
+        about = ({key: np.array(x, of) for key, (of, x) in given.items()} for given in reply["attributes"])
+        return {name: unpacked(x, given, name) for name, x, given in zip(places, arrays, about, strict=True)}
 
     listed: dict[str, dict[str, Any]] = ask([])[0]["available"]
-    matrices = [path for path, it in listed.items() if it["numbers"] and _columns(it["shape"])]
-    own = Counter(path.rsplit("/", 1)[-1] for path in listed)
-    places: dict[Heading, tuple[str, int | None]] = {}  # dataset and, of a matrix, column
-    headings = []
-    for path, it in listed.items():
-        dotted, short, unit = path.replace("/", "."), path.rsplit("/", 1)[-1], stated_unit(it["unit"])
-        if path in matrices:
-            only = len(matrices) == 1
-            for k in range(_columns(it["shape"])):
-                headings.append(Heading((f"{dotted}(:,{k + 1})",), k + 1 if only else None, unit, formed=True))
-                places[headings[-1]] = (path, k)
-        else:
-            names = (short, dotted) if own[short] == 1 else (dotted,)
-            headings.append(Heading(tuple(dict.fromkeys(names)), None, unit))
-            places[headings[-1]] = (path, None)
     if listed and all(it["opaque"] for it in listed.values()):
         raise InputError(OBJECT)
-
-    def read(wanted: Mapping[str, Heading]) -> dict[str, FileColumn]:
-        reply, payload = ask([places[heading] for heading in wanted.values()])
-        if "problem" in reply:
-            place, problem = reply["problem"]
-            name = list(wanted)[place]
-            raise InputError(f"channel {name} ({wanted[name].names[0]!r}) {problem}")
-        columns, start = {}, 0
-        for (name, heading), (dtype, size, given) in zip(wanted.items(), reply["vectors"], strict=True):
-            raw = np.frombuffer(payload, dtype, size, start)
-            attributes = {key: np.array(x, of) for key, (of, x) in given.items()}
-            columns[name] = FileColumn(unpacked(raw, attributes, name), heading.unit)
-            start += raw.nbytes
-        return columns
-
-    return OpenedFile(headings, read)
-
-
-def _columns(shape: Sequence[int]) -> int:
-    """Columns of a matrix; 0 for a vector. MATLAB's files hold matrices transposed."""
-    return min(shape) if len(shape) == 2 and min(shape) > 1 else 0
-
-
-# --- NetCDF, one variable a channel: classic files by scipy, NetCDF-4 by h5py.
+    names = by_path(listed, "/")
+    return named_arrays(
+        [Variable(p, names[p], tuple(x["shape"]), stated_unit(x["unit"]), x["problem"]) for p, x in listed.items()],
+        load,
+    )
 
 
 def open_netcdf(data: bytes) -> OpenedFile:
-    """A NetCDF file of either kind."""
+    """A NetCDF file: a classic one by scipy, NetCDF-4 by h5py."""
     if data.startswith(HDF5):
         return open_hdf5(data, "NetCDF file")
     if not data.startswith(b"CDF"):
@@ -223,42 +247,51 @@ def open_netcdf(data: bytes) -> OpenedFile:
     from scipy.io import netcdf_file
 
     with foreign("NetCDF file"):
-        file = netcdf_file(io.BytesIO(data), "r", mmap=False)
-        units = {str(name): getattr(variable, "units", None) for name, variable in file.variables.items()}
-        headings = [Heading((name,), None, stated_unit(unit)) for name, unit in units.items()]
+        there = netcdf_file(io.BytesIO(data), "r", mmap=False).variables
+        units = {key: stated_unit(getattr(variable, "units", None)) for key, variable in there.items()}
+        listed = [Variable(key, (str(key),), tuple(v.data.shape), units[key]) for key, v in there.items()]
 
-    def read(wanted: Mapping[str, Heading]) -> dict[str, FileColumn]:
-        columns = {}
-        for name, heading in wanted.items():
-            variable = file.variables[heading.names[0]]
+    def load(places: Places) -> dict[str, np.ndarray]:
+        loaded = {}
+        for name, (key, at) in places.items():
             with foreign("NetCDF file"):
-                raw = np.asarray(variable.data)
-                refuse_huge(name, heading.names[0], raw.size, len(wanted))
+                raw = _part(np.asarray(there[key].data), at)
                 vector(raw, name)  # its type and shape
-                columns[name] = FileColumn(unpacked(raw, vars(variable)["_attributes"], name), heading.unit)
-        return columns
+                loaded[name] = unpacked(raw, vars(there[key])["_attributes"], name)
+        return loaded
 
-    return OpenedFile(headings, read)
+    return named_arrays(listed, load)
 
 
-# --- MATLAB files: vectors, structs of vectors and matrices. Nothing here loads a pickle.
+def _part(values: np.ndarray, at: int | None) -> np.ndarray:
+    """A vector, or the column (row, where there are fewer) of a matrix."""
+    if at is None:
+        return values
+    return values[:, at] if values.shape[0] >= values.shape[1] else values[at]
+
+
+# MATLAB files: vectors, structs of vectors and matrices. Nothing here loads a pickle.
 
 NUMERIC = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 DEPTH = 3  # structs within structs
 
 
 def open_mat(data: bytes) -> OpenedFile:
-    """A MATLAB file: v5 to v7 by scipy, v7.3 by h5py. Structs are read, the other variables are only listed. The
-    columns of an only matrix go by their numbers, those of several by "name(:,k)"."""
+    """A MATLAB file: v5 to v7 by scipy, v7.3 by h5py. Structs are read, the other variables are only listed."""
     if data[512:520] == HDF5 or data[:8] == HDF5:
         return open_hdf5(data, "MATLAB v7.3 file")
     if len(data) < 136 or data[126:128] not in (b"IM", b"MI"):
         raise InputError("it is not a MATLAB file of version 5 to 7.3; in MATLAB, save it again with -v7")
-    from scipy.io import whosmat
+    from scipy.io import loadmat, whosmat
+
+    def loaded(names: Iterable[str], **options: bool) -> dict[str, Any]:
+        with foreign("MATLAB file"), warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)  # scipy warns where a file holds one name twice
+            return loadmat(io.BytesIO(data), variable_names=list(names), **options) if names else {}
 
     claimed = _bounded(data)
     with foreign("MATLAB file"), warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)  # scipy warns where a file holds one name twice
+        warnings.simplefilter("error", UserWarning)
         contents = {name: (shape, kind) for name, shape, kind in whosmat(io.BytesIO(data))}
     if contents and all(kind in ("opaque", "object", "function") for _, kind in contents.values()):
         raise InputError(OBJECT)
@@ -267,94 +300,47 @@ def open_mat(data: bytes) -> OpenedFile:
         raise InputError(
             f"it claims {claimed} bytes, more than a record may have; is it damaged? Otherwise cut the record"
         )
-    loaded = _loaded(data, structs, simplify_cells=True)
-    fields: dict[str, np.ndarray] = {}
+    of_structs, fields = loaded(structs, simplify_cells=True), dict[str, np.ndarray]()
     for name in structs:
-        if isinstance(loaded.get(name), dict):
+        if isinstance(of_structs.get(name), dict):
             del contents[name]
-            fields |= _fields(loaded[name], name)
-    places = [_Place(name, kind, shape, None) for name, (shape, kind) in contents.items()]
-    places += [_Place(path, "field", value.shape, value) for path, value in fields.items()]
-    return _opened(data, places)
+            fields |= _fields(of_structs[name], name)
+    contents |= {path: (values.shape, "double") for path, values in fields.items()}
+    names = by_path(contents, ".")
+    listed = []
+    for path, (shape, kind) in contents.items():
+        problem = (
+            f"is a {kind} where numbers should be; store one numeric vector a channel, or a struct of such vectors"
+        )
+        listed.append(Variable(path, names[path], shape, problem="" if kind in NUMERIC else problem))
+    matrices = [variable for variable in listed if variable.columns]
+    cells, of_columns = [path for path, (_, kind) in contents.items() if kind == "cell"], ()
+    if len(matrices) == 1 and len(cells) == 1:  # names of the columns, where they are all texts
+        texts = np.asarray(loaded(cells, simplify_cells=True)[cells[0]]).reshape(-1)
+        of_columns = tuple(map(str, texts)) if all(isinstance(text, str) for text in texts) else ()
+
+    def load(places: Places) -> dict[str, np.ndarray]:
+        arrays = fields | loaded(sorted({key for key, _ in places.values() if key not in fields}))
+        return {name: vector(_part(np.asarray(arrays[key]), at), name) for name, (key, at) in places.items()}
+
+    opened = named_arrays(listed, load, of_columns=of_columns)
+    opened.remarks.extend(
+        f"the matrix {v.names[0]!r} has {v.shape[0]} rows and {v.shape[1]} columns; each row is taken for a channel"
+        for v in matrices
+        if v.shape[0] < v.shape[1]
+    )
+    return opened
 
 
-def _loaded(data: bytes, names: Iterable[str], **options: bool) -> dict[str, Any]:
-    from scipy.io import loadmat
-
-    with foreign("MATLAB file"), warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)
-        return loadmat(io.BytesIO(data), variable_names=list(names), **options) if names else {}
-
-
-def _opened(data: bytes, listed: Sequence[_Place]) -> OpenedFile:
-    matrices = [place for place in listed if place.is_matrix]
-    cells = [place.path for place in listed if place.kind == "cell"]
-    names: tuple[str, ...] = ()  # of a matrix's columns, where one cell array of texts lies beside it
-    if len(matrices) == 1 and len(cells) == 1:
-        texts = np.asarray(_loaded(data, cells, simplify_cells=True)[cells[0]]).reshape(-1)
-        names = tuple(map(str, texts)) if all(isinstance(text, str) for text in texts) else ()
-    short = Counter(place.path.rsplit(".", 1)[-1] for place in listed)
-    places, remarks = dict[Heading, _Place](), []
-    for place in listed:
-        last, path = place.path.rsplit(".", 1)[-1], place.path
-        called = tuple(dict.fromkeys((last, path) if short[last] == 1 else (path,)))
-        if not place.is_matrix:
-            places[Heading(called)] = place
-            continue
-        count = min(place.shape)
-        formed = len(names) != count
-        for k in range(count):
-            label = f"{called[0]}(:,{k + 1})" if formed else names[k]
-            places[Heading((label,), k + 1 if len(matrices) == 1 else None, formed=formed)] = replace(place, at=k)
-        if place.shape[0] < place.shape[1]:
-            remarks.append(
-                f"the matrix {called[0]!r} has {place.shape[0]} rows and {place.shape[1]} columns; each row is taken "
-                "for a channel"
-            )
-
-    def read(wanted: Mapping[str, Heading]) -> dict[str, FileColumn]:
-        for name, heading in wanted.items():
-            place = places[heading]
-            if place.kind not in (*NUMERIC, "field"):
-                raise InputError(
-                    f"channel {name} ({place.path!r}) is a {place.kind} where numbers should be; store one numeric "
-                    "vector a channel, or a struct of such vectors"
-                )
-            refuse_huge(name, place.path, float(np.prod([float(extent) for extent in place.shape])), len(wanted))
-        loaded = _loaded(data, sorted({places[h].path for h in wanted.values() if places[h].values is None}))
-        return {name: FileColumn(places[heading].taken(name, loaded)) for name, heading in wanted.items()}
-
-    return OpenedFile(list(places), read, remarks=remarks)
-
-
-@dataclass(frozen=True)
-class _Place:
-    """A variable or a field of a struct, which is read already; one column `at` of it where it is a matrix."""
-
-    path: str
-    kind: str
-    shape: tuple[int, ...]
-    values: np.ndarray | None
-    at: int | None = None
-
-    @property
-    def is_matrix(self) -> bool:
-        return self.kind in (*NUMERIC, "field") and len(self.shape) == 2 and min(self.shape) > 1
-
-    def taken(self, name: str, loaded: Mapping[str, Any]) -> np.ndarray:
-        whole = np.asarray(loaded[self.path] if self.values is None else self.values)
-        if self.at is None:
-            return vector(whole, name)
-        return vector(whole[:, self.at] if whole.shape[0] >= whole.shape[1] else whole[self.at], name)
-
-
-def _fields(struct: Mapping[str, Any], path: str, depth: int = 1) -> Iterator[tuple[str, np.ndarray]]:
+def _fields(struct: Mapping[str, Any], path: str, depth: int = 1) -> dict[str, np.ndarray]:
     """Numeric fields of a struct and of the structs in it, by their dotted path."""
+    fields: dict[str, np.ndarray] = {}
     for key, value in struct.items():
         if isinstance(value, Mapping) and depth < DEPTH:
-            yield from _fields(value, f"{path}.{key}", depth + 1)
+            fields |= _fields(value, f"{path}.{key}", depth + 1)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.size > 1:
-            yield f"{path}.{key}", value
+            fields[f"{path}.{key}"] = value
+    return fields
 
 
 def _bounded(data: bytes) -> int:
@@ -381,52 +367,40 @@ def _bounded(data: bytes) -> int:
     return total
 
 
-# --- Parquet, one column a channel, read by pyarrow.
-
-
 def open_parquet(data: bytes) -> OpenedFile:
-    """A Parquet file; its time stamps come back in seconds from the first one."""
+    """A Parquet file by pyarrow; its time stamps come back in seconds from the first one."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    numeric = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_timestamp)
     with foreign("Parquet file"):
         file = pq.ParquetFile(pa.BufferReader(data))
-        schema = file.schema_arrow
         groups = (file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups))
-        rows = max(file.metadata.num_rows, sum(groups))
-        units = [(field.metadata or {}).get(b"units") for field in schema]
-        units = [None if unit is None else unit.decode("utf-8", "replace") for unit in units]
-        headings = [
-            Heading((name,), k, unit) for k, (name, unit) in enumerate(zip(schema.names, units, strict=True), 1)
-        ]
+        rows, listed = max(file.metadata.num_rows, sum(groups)), []
+        for field in file.schema_arrow:
+            unit = stated_unit((field.metadata or {}).get(b"units"))
+            unit = "s" if pa.types.is_timestamp(field.type) else unit
+            problem = f"holds {field.type} where numbers should be; store it as plain numbers, and time as seconds or "
+            fits = any(of(field.type) for of in numeric)
+            listed.append(Variable(field.name, (field.name,), (rows,), unit, "" if fits else f"{problem}time stamps"))
 
-    def read(wanted: Mapping[str, Heading]) -> dict[str, FileColumn]:
-        for name, heading in wanted.items():
-            label, kind = heading.names[0], schema.field(heading.names[0]).type
-            allowed = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_timestamp)
-            if not any(fits(kind) for fits in allowed):
-                raise InputError(
-                    f"channel {name} ({label!r}) holds {kind} where numbers should be; store it as plain numbers, and "
-                    "time as seconds or time stamps"
-                )
-            refuse_huge(name, label, rows, len(wanted))
+    def load(places: Places) -> dict[str, np.ndarray]:
+        columns = {}
         with foreign("Parquet file"):
-            table = file.read(columns=[h.names[0] for h in wanted.values()], use_threads=False)
-            return {name: _column(table.column(h.names[0]), name, h) for name, h in wanted.items()}
+            table = file.read(columns=[key for key, _ in places.values()], use_threads=False)
+            for name, (key, _) in places.items():
+                values = table.column(key)
+                if pa.types.is_timestamp(values.type):
+                    stamps = values.to_numpy().astype("datetime64[ns]")
+                    first = stamps[~np.isnat(stamps)][:1]
+                    elapsed = (stamps - first) / np.timedelta64(1, "s") if len(first) else np.full(len(stamps), np.nan)
+                    columns[name] = elapsed
+                else:
+                    numbers = values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+                    columns[name] = vector(numbers, name)
+        return columns
 
-    return OpenedFile(headings, read, "column")
-
-
-def _column(values: Any, name: str, heading: Heading) -> FileColumn:
-    import pyarrow as pa
-
-    if pa.types.is_timestamp(values.type):
-        stamps = values.to_numpy().astype("datetime64[ns]")
-        first = stamps[~np.isnat(stamps)][:1]
-        seconds = (stamps - first) / np.timedelta64(1, "s") if len(first) else np.full(len(stamps), np.nan)
-        return FileColumn(seconds, "s")
-    numbers = values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-    return FileColumn(vector(numbers, name), heading.unit)
+    return named_arrays(listed, load, "column", numbered=True)
 
 
 # --- Excel workbooks (.xlsx), read by openpyxl: the first sheet that holds a table, laid out as a text table is.
@@ -459,9 +433,8 @@ def open_excel(data: bytes) -> OpenedFile:
 
 
 def rows_of(data: bytes) -> tuple[Rows, list[str]]:
-    """The first sheet with a table, and which one it is where there are several. Numbers come as Python writes them,
-    dates and times of day in ISO 8601, durations in seconds. Raises InputError: no workbook, or one that claims more
-    than a record can hold."""
+    """The first sheet with a table, and which one it is. Numbers come as Python writes them, dates and times of day in
+    ISO 8601, durations in seconds. Raises InputError: no workbook, or more than a record can hold."""
     require(".xlsx", "openpyxl", "defusedxml")  # openpyxl takes defusedxml, against XML bombs, only where it is there
     if data.startswith(_OLD):
         raise InputError("it is a workbook of Excel 97 to 2003, or one with a password; save it as .xlsx without one")

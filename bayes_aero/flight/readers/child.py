@@ -4,12 +4,13 @@ On damaged bytes such parsers loop for ever, crash or take all memory, and nothi
 HDF5 library is C code; fuzzing soon found files on which it loops). The parent, `binary.py`, gives this process a
 time limit instead.
 
-In: the file on stdin, the name of the parser in argv[1], a request as JSON in argv[2]. A parser in `ANSWERS` is called
-with the file and the request, and gives a reply for JSON and the arrays behind it; one in `GROUPS` is called with the
-file, and gives a list of groups and a list of remarks. A group is a name, (n,) seconds from the file's start, and
-columns: names, unit or None, and (n,) numbers; the request is the most bytes of all arrays, and the most columns. Each
-parser imports its library itself, which the others do not need.
-Out: one line of JSON, then the arrays in its order. Failures: {"error": ...} or {"refused": ...}.
+In: the file on stdin, the name of the parser in argv[1], a request as JSON in argv[2]. `hdf5` is called with the file
+and the request, and gives a reply for JSON and the arrays behind it; the others are called with the file, and give a
+list of groups and a list of remarks. A group is a name, (n,) seconds from the file's start, and columns: names, unit or
+None, and (n,) numbers; their request is the most bytes of all arrays, and the most columns. Each parser imports its
+library itself, which the others do not need.
+Out: one line of JSON, then its "arrays" (type and size) one after the other. Failures: {"error": ...} or {"refused":
+...}.
 """
 
 import io
@@ -28,17 +29,12 @@ import numpy as np
 MEMORY = 8 << 30  # bytes of address space for this process; a damaged header may ask for any amount
 
 
-def _packed(values):
-    """An array in the byte order of this machine."""
-    return values.astype(values.dtype.newbyteorder("="), copy=False)
-
-
 def _described(groups, remarks, most_bytes, most_columns):
     """The reply on groups, and the arrays that follow it."""
     listed, arrays = [], []
     for name, time, columns in groups:
-        described = [[[str(n)[:200] for n in names], unit, _packed(v[:0]).dtype.str] for names, unit, v in columns]
-        listed.append({"name": str(name)[:200], "size": len(time), "columns": described})
+        described = [[[str(n)[:200] for n in names], unit] for names, unit, _ in columns]
+        listed.append({"name": str(name)[:200], "columns": described})
         arrays += [np.asarray(time, np.float64), *(values for _, _, values in columns)]
     if sum(len(columns) for _, _, columns in groups) > most_columns:
         return {"refused": f"it has more than {most_columns} columns; is it a flight record?"}, []
@@ -126,39 +122,27 @@ def _instances(fmt, messages):
 
 # --- HDF5: datasets, and the numbers in them.
 
-TOO_MUCH = "and the others claim more values than a record may have; is the file damaged? Otherwise cut the record"
 DEPTH, MOST_DATASETS = 3, 2100
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 """What NetCDF names a dataset that holds a length and no numbers."""
 
 
-def hdf5(data, wanted, kept, most, room):
-    """What is there, where nothing is `wanted`; else the numbers as stored. wanted: path and, of a matrix, column of
-    each. kept: attributes that go with them. most: samples that a channel may have; room: that all may have."""
+def hdf5(data, wanted, kept):
+    """What is there, where nothing is `wanted`; else numbers and `kept` attributes of each path (and column)."""
     import h5py
 
-    found: list = []
-    reply: dict = {}
+    arrays, attributes = [], []
     with h5py.File(io.BytesIO(data), "r") as file:
         there = dict(islice(_datasets(file), MOST_DATASETS))
         if not wanted:
-            reply["available"] = {path[:200]: _listed(dataset) for path, dataset in there.items()}
-        sizes = [there[path].size or 0 for path, _ in wanted]
-        whole = sum(sizes) if max(sizes, default=0) <= most else 0  # one that is too large is refused below
-        for place, (path, column) in enumerate(wanted):
-            problem = TOO_MUCH if whole > room else _problem(there[path], column, most)
-            if problem:
-                reply["problem"] = [place, problem]
-                break
-            values = np.asarray(there[path][()])
+            return {"available": {path[:200]: _listed(dataset) for path, dataset in there.items()}}, []
+        for path, column in wanted:
+            values, given = np.asarray(there[path][()]), there[path].attrs
             if column is not None:
                 values = values[column] if values.shape[0] <= values.shape[1] else values[:, column]
-            values = values.reshape(-1)
-            attributes = there[path].attrs
-            given = {key: _attribute(attributes[key]) for key in kept if key in attributes}
-            found.append((values.astype(values.dtype.newbyteorder("=")), given))
-    reply["vectors"] = [(x.dtype.str, x.size, given) for x, given in found]
-    return reply, [x for x, _ in found]
+            arrays.append(values.reshape(-1))
+            attributes.append({key: _attribute(given[key]) for key in kept if key in given})
+    return {"attributes": attributes}, arrays
 
 
 def _text(value):
@@ -191,30 +175,31 @@ def _datasets(group, path="", depth=0):
             yield from _datasets(item, f"{where}/", depth + 1)
 
 
-def _problem(dataset, column, most):
-    """Why a dataset, or a column of it, cannot be one channel."""
+def _problem(dataset):
+    """Why a dataset, or the columns of it, cannot be channels."""
     import h5py
 
     if dataset.dtype.kind not in "fiub":
         return f"holds {dataset.dtype} where numbers should be; store it as plain numbers"
     if h5py.check_enum_dtype(dataset.dtype):
         return "holds named states (an enumeration) where numbers should be; store it as plain numbers"
-    if dataset.size is None or dataset.size > most:
-        return f"claims {dataset.size} samples, more than {most}; is the file damaged?"
-    if column is None and dataset.ndim != 1 and dataset.size != max(dataset.shape, default=1):
+    if dataset.size is None:
+        return "holds nothing; is the file damaged?"
+    matrix = dataset.ndim == 2 and "MATLAB_int_decode" not in dataset.attrs
+    if not matrix and dataset.ndim != 1 and dataset.size != max(dataset.shape, default=1):
         return f"has shape {dataset.shape} where one value a sample should be; split it up"
     if dataset.external or dataset.is_virtual:
         return "is stored in another file; copy the data into this one"
-    return None
+    return ""
 
 
 def _listed(dataset):
-    attributes = dataset.attrs
+    unit = dataset.attrs.get("units")
     return {
         "shape": [int(extent) for extent in dataset.shape or ()],
-        "numbers": dataset.dtype.kind in "fiub" and "MATLAB_int_decode" not in attributes,
-        "unit": _text(attributes["units"]) if "units" in attributes else None,
-        "opaque": "MATLAB_object_decode" in attributes,
+        "unit": None if unit is None else _text(unit),
+        "opaque": "MATLAB_object_decode" in dataset.attrs,
+        "problem": _problem(dataset),
     }
 
 
@@ -328,8 +313,10 @@ def ulog(data):
     return found, remarks
 
 
-ANSWERS = {"hdf5": hdf5}
-GROUPS = {"dataflash": dataflash, "mdf": mdf4, "ulog": ulog}
+PARSERS: dict[str, Any] = {"hdf5": hdf5} | {
+    name: lambda data, *limits, parsed=parsed: _described(*parsed(data), *limits)
+    for name, parsed in {"dataflash": dataflash, "mdf": mdf4, "ulog": ulog}.items()
+}
 
 
 def main():
@@ -342,16 +329,14 @@ def main():
     out = sys.stdout.buffer
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):  # some of them print what they think of the file
         try:
-            kind, data, request = sys.argv[1], sys.stdin.buffer.read(), json.loads(sys.argv[2])
-            if kind in ANSWERS:
-                reply, arrays = ANSWERS[kind](data, *request)
-            else:
-                reply, arrays = _described(*GROUPS[kind](data), *request)
+            reply, arrays = PARSERS[sys.argv[1]](sys.stdin.buffer.read(), *json.loads(sys.argv[2]))
+            arrays = [x.astype(x.dtype.newbyteorder("="), copy=False) for x in arrays]  # as this machine has it
+            reply["arrays"] = [(x.dtype.str, x.size) for x in arrays]
         except Exception as reason:
             reply = {"error": " ".join(str(reason).split())[:120] or type(reason).__name__}
     out.write(json.dumps(reply).encode() + b"\n")
     for array in arrays:
-        out.write(_packed(array).tobytes())
+        out.write(array.tobytes())
     out.flush()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,19 +14,7 @@ import numpy as np
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import ALIASES, split_heading
-from bayes_aero.flight.readers.base import (
-    FileColumn,
-    Heading,
-    OpenedFile,
-    foreign,
-    is_blank,
-    is_value,
-    looks_like_clock,
-    marks_of,
-    number_of,
-    seconds,
-    value_share,
-)
+from bayes_aero.flight.readers import FileColumn, Heading, OpenedFile, foreign
 from bayes_aero.units import spellings
 
 MOST_LINES, LONGEST_LINE = 5_000_000, 200_000
@@ -126,7 +115,6 @@ def _lines(data: bytes) -> Lines:
 # Loggers write a preamble above the header, one or two rows of names, a row of units, or none of these. The samples
 # are what repeats: they are looked for first, in the lower part of the file, and the header is what stands above
 # them.
-
 
 T = TypeVar("T")
 
@@ -315,3 +303,143 @@ def _names_and_units(header: Sequence[Sequence[str]], width: int) -> tuple[list[
             for k, cell in enumerate(row):
                 names[k].append(cell)
     return names, units
+
+
+# --- Cells of text to numbers: decimal commas, thousands separators, Fortran's exponents, blanks.
+
+BLANKS = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "nd", "invalid"))
+"""What recorders and their tools write where there is no value, in lower case; also a cell of asterisks (Fortran)."""
+
+_EXPONENT = r"(?:[eEdD][+-]?\d{1,3})?"
+_VALUE = re.compile(rf"[+-]?(?:\d+[.,]?\d*|[.,]\d+|\d{{1,3}}(?:[,.'\u00a0\u202f]\d{{3}})+(?:[.,]\d+)?){_EXPONENT}")
+_CLOCK = re.compile(r"\d{1,4}(?:[-/.:]\d{1,3}){1,3}(?:[T ]?\s*\d.*)?(?:\.\d*)?\s*(?:[AaPp][Mm]|Z|[+-]\d\d:?\d\d)?")
+_COMMAS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(\.\d*)?")
+_POINTS = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(,\d*)?")
+_GROUPS = re.compile(r"(?<=\d)['\u00a0\u202f](?=\d{3})")
+_FORTRAN = re.compile(r"(?<=[\d.,])[dD](?=[+-]?\d)")
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What a file writes before decimals, and between thousands (empty: nothing)."""
+
+    decimal: str = "."
+    thousands: str = ""
+
+
+def is_blank(cell: str) -> bool:
+    """Whether a cell says that there is no value."""
+    return cell.casefold() in BLANKS or (cell != "" and not cell.strip("*"))
+
+
+def is_value(cell: str) -> bool:
+    """Whether a cell holds a number, a clock time or a date; a blank is none of these."""
+    return _VALUE.fullmatch(cell) is not None or (_CLOCK.fullmatch(cell) is not None and cell.count(".") < 3)
+
+
+def value_share(cells: Sequence[str]) -> float:
+    """Values among the cells that are not blank; zero where all are."""
+    filled = [cell for cell in cells if not is_blank(cell)]
+    return sum(map(is_value, filled)) / len(filled) if filled else 0.0
+
+
+def marks_of(cells: Iterable[str]) -> Marks:
+    """Tell decimal commas from commas between thousands, over all cells that are wanted of a file. "0,040" and "1,5"
+    can only be decimals; "4,562" beside "0.9" can only be thousands. Raises InputError: where the file contradicts
+    itself, or leaves open which of the two it means."""
+    decimal_comma = decimal_point = either_comma = either_point = ""
+    grouped = False
+    for cell in cells:
+        comma, point = "," in cell, "." in cell
+        if not (comma or point):
+            continue
+        commas, points = _COMMAS.fullmatch(cell), _POINTS.fullmatch(cell)
+        if comma and point:
+            decimal_point, decimal_comma = (cell, decimal_comma) if commas else (decimal_point, cell)
+            grouped = True
+        elif comma and commas and cell.count(",") == 1:
+            either_comma = cell
+        elif comma and commas:
+            decimal_point, grouped = cell, True  # two commas can only stand between thousands
+        elif comma:
+            decimal_comma = cell
+        elif points and cell.count(".") > 1:
+            decimal_comma, grouped = cell, True
+        elif points:
+            either_point = either_point or cell
+        else:
+            decimal_point = cell
+        if decimal_comma and decimal_point:
+            raise InputError(
+                f"it has {decimal_comma[:30]!r} with a decimal comma and {decimal_point[:30]!r} with a decimal point; "
+                "write all numbers with a decimal point and without thousands separators"
+            )
+    if decimal_comma:
+        return Marks(",", "." if grouped or either_point else "")
+    if not either_comma:
+        return Marks(".", "," if grouped else "")
+    if decimal_point:
+        return Marks(".", ",")
+    raise InputError(
+        f"the comma in {either_comma[:30]!r} may be a decimal comma or stand before thousands, and nothing in the file "
+        "tells which; write numbers with a decimal point and without thousands separators"
+    )
+
+
+def number_of(cell: str, marks: Marks) -> float:
+    """The number in a cell, NaN for a blank. Raises ValueError: the cell holds something else."""
+    if is_blank(cell):
+        return math.nan
+    if "_" in cell:
+        raise ValueError(cell)
+    plain = cell.replace(marks.thousands, "") if marks.thousands else cell
+    plain = _GROUPS.sub("", plain)
+    if marks.decimal == ",":
+        plain = plain.replace(",", ".")
+    return float(_FORTRAN.sub("e", plain))
+
+
+# --- Clock times and dates to seconds since the first sample.
+
+DAY = 86400.0
+_TIME = re.compile(r"(?:\d{1,3}:)?\d{1,2}:\d{1,2}(?::\d{1,2})?(?:[.,]\d*)?")
+_DATED = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}(?!\d).*")
+_OF_DAY = re.compile(r"\d{1,2}:\d{1,2}.*")
+_WEIGHTS = {2: (60.0, 1.0), 3: (3600.0, 60.0, 1.0), 4: (DAY, 3600.0, 60.0, 1.0)}
+
+
+def looks_like_clock(cell: str) -> bool:
+    """Whether a cell is a clock time (10:23:45.12, 127:10:23:45, 23:45.1) or a date with one."""
+    return any(pattern.fullmatch(cell) for pattern in (_TIME, _DATED, _OF_DAY))
+
+
+def seconds(cells: Sequence[str]) -> np.ndarray:
+    """(n,) seconds since the first cell; a clock that passes midnight goes on. Raises InputError: a cell is no time."""
+    if not all(_TIME.fullmatch(cell) for cell in cells):
+        return _dates(cells)
+    # h:m:s, m:s, or day:h:m:s as range clocks (IRIG) write it
+    parts = [cell.replace(",", ".").split(":") for cell in cells]
+    if len({len(part) for part in parts}) > 1:
+        raise InputError("clock times of different forms stand in one column; write time in seconds")
+    values = np.array(parts, dtype=np.float64) @ np.array(_WEIGHTS[len(parts[0])])
+    if len(parts[0]) == 4:
+        return values - values[0]
+    period = 3600.0 if len(parts[0]) == 2 else DAY
+    turns = np.cumsum(np.r_[0.0, np.diff(values)] < -0.5 * period)
+    return values + period * turns - values[0]
+
+
+def _dates(cells: Sequence[str]) -> np.ndarray:
+    import pandas as pd
+
+    try:
+        stamps = pd.to_datetime(pd.Series(list(cells)), format="ISO8601", utc=True)
+    except (ValueError, OverflowError):
+        try:  # the order of day and month is the one in which the record is shorter
+            texts = pd.Series(list(cells))
+            orders = [pd.to_datetime(texts, format="mixed", utc=True, dayfirst=first) for first in (False, True)]
+        except (ValueError, OverflowError, TypeError) as reason:
+            raise InputError("clock times or dates that cannot be read; write time in seconds") from reason
+        stamps = min(orders, key=lambda order: abs(order.iloc[-1] - order.iloc[0]))
+    nanoseconds = stamps.to_numpy(dtype="datetime64[ns]").astype(np.int64)
+    return (nanoseconds - nanoseconds[0]) * 1e-9

@@ -11,7 +11,7 @@ from msgspec import UNSET, Meta, Struct, field
 from msgspec import UnsetType as Unset
 from msgspec.structs import fields
 
-from bayes_aero.flight.health.finding import Consistency, Departure, HealthFinding
+from bayes_aero.flight.health import Consistency, Departure, HealthFinding
 
 Number = float | None
 Size = Annotated[float, Meta(ge=0)]

@@ -33,7 +33,7 @@ from bayes_aero.diagnosis.result import SimulatedManoeuvre as FlightPath
 from bayes_aero.errors import failure, plain_line
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import (
     FrequencyFit,

@@ -25,7 +25,7 @@ from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import failure
 from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import Agreement, Consistency, HealthFinding
+from bayes_aero.flight.health import Agreement, Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter
 from bayes_aero.physics.aircraft import Axis

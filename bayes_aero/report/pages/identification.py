@@ -12,7 +12,7 @@ from bayes_aero.diagnosis.result import SimulatedManoeuvre
 from bayes_aero.effect import Stage
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import only_following
+from bayes_aero.flight.health import only_following
 from bayes_aero.inference.results import Identification, PosteriorStatus
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.colours import COLOURS

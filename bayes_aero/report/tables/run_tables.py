@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayes_aero.flight.health.finding import only_following
+from bayes_aero.flight.health import only_following
 from bayes_aero.inference.results import GPReport, Identification, Scores, Validation, interval_coverage, score
 from bayes_aero.model.noise import Colour
 from bayes_aero.report.frequency import band_text, frequency_columns

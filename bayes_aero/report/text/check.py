@@ -8,7 +8,7 @@ from typing import Any
 
 from bayes_aero.diagnosis.result import CheckReport
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import Agreement, Consistency, OpenError
+from bayes_aero.flight.health import Agreement, Consistency, OpenError
 from bayes_aero.flight.reading import RecordReport
 from bayes_aero.report.text.phrases import WORDS, for_people, not_testable_sentences, several, size_text, unit_behind
 from bayes_aero.units import instant, number

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
-from bayes_aero.flight.health.finding import only_following
+from bayes_aero.flight.health import only_following
 from bayes_aero.inference.results import (
     SENSITIVITY_LIMIT,
     ActiveBound,
