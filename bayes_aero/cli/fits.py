@@ -38,8 +38,8 @@ def identify(
     with terminal.loading():
         from bayes_aero.flight.card import read_card
         from bayes_aero.jobs import identify as job
-        from bayes_aero.report.tables.run_tables import next_flight_table, parameter_table
-        from bayes_aero.report.text.identification import verdict
+        from bayes_aero.report.pages.estimates import verdict
+        from bayes_aero.report.pages.identification import next_flight_table, parameter_table
         from bayes_aero.simulate.demo import TRUTH, demo_records
 
     console, truth = terminal.teller(quiet=json, highlight=True), None
@@ -87,10 +87,9 @@ def diagnose(
     with terminal.loading():
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
         from bayes_aero.jobs.io.effect_file import refuse_existing, write_effects
-        from bayes_aero.report.design import in_band_sentences, points_sentences
-        from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
-        from bayes_aero.report.tables.fly import hold_out_error_table
-        from bayes_aero.report.text.diagnosis import revealed, sentences
+        from bayes_aero.report.pages.diagnosis import causes_table, in_band_sentences, revealed, screen_table, sentences
+        from bayes_aero.report.pages.qualification import points_sentences
+        from bayes_aero.report.pages.trajectories import hold_out_error_table
 
     if write_effect is not None:
         refuse_existing(write_effect)
@@ -191,7 +190,7 @@ def path(
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
-    from bayes_aero.report.tables import fly as of_fit
+    from bayes_aero.report.pages import fly as of_fit
 
     flown, beside = found.flown, found.process_noise
     tables = [of_fit.parameter_table(flown), *([of_fit.beside_table(flown)] if flown.frequency else [])]

@@ -112,7 +112,7 @@ def qualify(
     terminal.check_result(result)
     with terminal.loading():
         from bayes_aero.jobs.qualify import RESULTS, qualify_result
-        from bayes_aero.report.qualification import further_sentences, sentences, verdict_sentence, verdict_table
+        from bayes_aero.report.pages.qualification import further_sentences, sentences, verdict_sentence, verdict_table
 
     console = terminal.teller(quiet=json)
     with terminal.working(out) as tell:

@@ -158,7 +158,7 @@ def _row(p: Planned) -> dict[str, Any]:
 
 def print_plan(console: Console, planned: list[Planned]) -> None:
     """The units with their state."""
-    from bayes_aero.report.tables.table import Table, columns_of
+    from bayes_aero.report.table import Table, columns_of
 
     of = columns_of(planned)
     unit, state = of(lambda p: p.unit.name, terminal="unit", words=True), of(lambda p: p.state.word, terminal="state")

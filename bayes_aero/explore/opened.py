@@ -21,8 +21,8 @@ from bayes_aero.jobs.io.result_file import read_result, result_file
 from bayes_aero.jobs.steps.record_checks import RecordChecks, record_checks
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter
-from bayes_aero.report.text.check import consistency_sentences
-from bayes_aero.report.text.phrases import for_people, plain_unit
+from bayes_aero.report.pages.parts import consistency_sentences
+from bayes_aero.report.phrases import for_people, plain_unit
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,7 @@ def write_effects_page(
     from bayes_aero.jobs.io.result_file import writable  # what draws is heavy, and a study reads this module
     from bayes_aero.report.figures.prior import channels_needed
     from bayes_aero.report.html.page import Gallery, Report, put_page
-    from bayes_aero.report.pages.effects import effects_page, picture_words
+    from bayes_aero.report.pages.check import effects_page, picture_words
     from bayes_aero.report.style import save
 
     writable(out)

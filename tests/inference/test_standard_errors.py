@@ -25,7 +25,7 @@ from bayes_aero.inference.prediction_error import covariance_of
 from bayes_aero.inference.results import active_bounds, inseparable, prior_conflicts
 from bayes_aero.model.noise import LogDensity
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.report.text.identification import (
+from bayes_aero.report.pages.estimates import (
     bound_sentences,
     conflict_sentences,
     inseparable_sentences,

@@ -19,7 +19,7 @@ from bayes_aero.jobs.io.diagnosis_json import path_part, record_parts, stated_to
 from bayes_aero.jobs.io.identification_json import frequency_part, inseparable_parts, posterior_parts
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.jobs.provenance import picked
-from bayes_aero.report.tables.fly import parameter_rows
+from bayes_aero.report.pages.fly import parameter_rows
 
 SCHEMA = "bayes_aero/trajectories/5"
 RESULTS = "trajectories.json"

@@ -26,10 +26,9 @@ from bayes_aero.jobs.io.diagnosis_json import path_part, record_parts
 from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.provenance import picked, write_json
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.tables.comparison import flown
-from bayes_aero.report.tables.run_tables import PooledScores, next_flight_table, parameter_table, validation_table
-from bayes_aero.report.tables.table import write_csv
-from bayes_aero.report.text.identification import verdict
+from bayes_aero.report.pages.estimates import PooledScores, flown, verdict
+from bayes_aero.report.pages.identification import next_flight_table, parameter_table, validation_table
+from bayes_aero.report.table import write_csv
 
 SCHEMA = "bayes_aero/results/1"
 

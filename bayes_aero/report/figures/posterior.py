@@ -20,10 +20,10 @@ from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import of_coefficient, predicted, what_is_shown
-from bayes_aero.report.tables import comparison
-from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered, unit_of
-from bayes_aero.report.tables.table import NORMAL95, Estimate
-from bayes_aero.report.text.phrases import GREEK, WORDS, bracket, plus_minus, several
+from bayes_aero.report.pages import estimates as comparison
+from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered, unit_of
+from bayes_aero.report.phrases import GREEK, WORDS, bracket, plus_minus, several
+from bayes_aero.report.table import NORMAL95, Estimate
 
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
 RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows with it

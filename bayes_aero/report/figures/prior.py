@@ -24,9 +24,9 @@ from bayes_aero.inference.results import Identification, Posterior, Stall
 from bayes_aero.model.noise import Noise
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered
+from bayes_aero.report.phrases import bracket
 from bayes_aero.report.style import Drawing, NotDrawn, grid_of, housed, legend_below, panels
-from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered
-from bayes_aero.report.text.phrases import bracket
 
 WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
 

@@ -22,7 +22,7 @@ from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.plots import Line, Panel, extremes, scale
-from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, short, symbol
+from bayes_aero.report.phrases import bracket, channel_axis, for_people, short, symbol
 
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
 HISTORY = ("alpha", "theta", "q", "elevator", "ax", "az", "airspeed", "altitude", "mach", "thrust")
