@@ -27,7 +27,7 @@ from bayes_aero.flight.card import channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.jobs.export import FORMS
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.plots import FARTHEST, Line, dress, extremes, scale
+from bayes_aero.report.html.plots import FARTHEST, Line, extremes, scale
 from bayes_aero.report.phrases import axis_label, bracket, for_people
 
 Parts = Mapping[str, np.ndarray]
@@ -438,10 +438,18 @@ def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
     """Panels below each other, the time axis below the last."""
     for view in views:
         last = view is views[-1]
-        dress(view.figure, last, LEAST)
+        f: Any = view.figure
+        f.xaxis.visible, f.grid.grid_line_color, f.outline_line_color = last, "#dddddd", "#bbbbbb"
+        for axis in (f.xaxis, f.yaxis):
+            axis.update(
+                axis_label_text_font_size="13px", axis_label_text_font_style="normal", minor_tick_line_color=None
+            )
+            axis.update(axis_label_text_color="#222222", major_label_text_color="#222222")
+            axis.major_label_text_font_size = "12px"
+        f.yaxis.ticker.desired_num_ticks = 3
         if last:
-            view.figure.xaxis.axis_label = "time of the record [s]"
-            view.figure.min_height = LEAST + AXIS
+            f.xaxis.axis_label = "time of the record [s]"
+            f.min_height = LEAST + AXIS
     return column([view.figure for view in views], sizing_mode="stretch_both", spacing=0, name=name)
 
 

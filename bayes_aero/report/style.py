@@ -29,6 +29,7 @@ from bayes_aero.inference.results import Identification
 
 DPI = 150
 COLOURS = 128  # of a file's palette: lines and text need few, and are packed in half the time
+TICKS = 5  # intervals along an axis
 PAD = 0.06  # inches between the parts of a figure
 RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
@@ -141,6 +142,8 @@ def panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -
     """A figure of `size` inches with a (rows, columns) array of axes; outside pyplot, so nothing lingers or pops up."""
     figure = Figure(figsize=size, layout=MeasuredOnce())
     axes = figure.subplots(rows, columns, squeeze=False, **options)
+    for ax in axes.ravel():
+        ax.locator_params(nbins=TICKS)  # each costs as much as a curve
     return figure, axes
 
 

@@ -1,5 +1,6 @@
 """The report page: everything escaped, whole or not at all, true to its numbers, thinned without losing a peak."""
 
+import base64
 import json
 import re
 from dataclasses import replace
@@ -25,7 +26,6 @@ from bayes_aero.report.html.page import (
     Plot,
     Report,
     Text,
-    embedded,
     page_table,
     put_page,
     render,
@@ -204,17 +204,18 @@ def test_thinning_keeps_every_peak():
     assert len(extremes(columns, 1000)) <= 2 * 1000 + 2
 
 
-def test_pictures_are_small_and_keep_their_look(tmp_path):
+def test_a_picture_is_the_file_as_it_was_drawn(tmp_path):
     wide = Image.new("RGB", (3000, 600), "white")
     wide.paste((0, 114, 178), (0, 0, 1500, 600))
     wide.save(tmp_path / "wide.png")
-    source, size, natural = embedded(tmp_path / "wide.png", 1000)
-    assert size == (1000, 200)
-    assert natural == 1920  # 3000 pixels at 150 to the inch, 96 on a screen
-    assert source.startswith("data:image/png;base64,")
     gallery = Gallery({"wide": tmp_path / "wide.png"}, {"wide": ("caption", "alt 1")})
     (picture,) = gallery("wide", "absent")
     assert (picture.caption, picture.alt) == ("caption", "alt 1")
+    assert (picture.width, picture.height) == (3000, 600)
+    assert picture.natural == 1920  # 3000 pixels at 150 to the inch, 96 on a screen
+    head, content = picture.source.split(",")
+    assert head == "data:image/png;base64"
+    assert base64.b64decode(content) == (tmp_path / "wide.png").read_bytes()
 
 
 def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):

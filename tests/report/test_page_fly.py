@@ -145,19 +145,12 @@ def test_first_states_are_those_flown_and_a_linear_card_shows_its_own_channels()
 def test_a_label_is_never_longer_than_its_panel(name):
     """A letter of 13 pixels is some 7 wide; no name makes a panel higher than two."""
     item = linked(np.arange(3.0), [Panel(name, "deg", (Line("x", "#000000", np.arange(3.0)),), height=LOW)], "t")
-    (label,) = (text for text in found(item, "axis_label") if text and name in text)
-    height = max(h for h in found(item, "height") if h) - AXIS
+    (panel,) = item["panels"]
+    label, height = panel["label"], panel["height"] - AXIS
     assert label.replace("\n", " ") == f"{name} [deg]"
     assert LOW <= height <= HIGHEST
     assert height == HIGHEST or 7.0 * max(map(len, label.split("\n"))) <= height
     assert (height == LOW) == (len(name) < 15)
-
-
-def found(item, key):
-    """Every value of a key in nested lists and dictionaries."""
-    if isinstance(item, dict):
-        return [*([item[key]] if key in item else []), *(x for v in item.values() for x in found(v, key))]
-    return [x for v in item for x in found(v, key)] if isinstance(item, list | tuple) else []
 
 
 def test_a_page_that_fails_is_told_and_costs_no_number(tmp_path, monkeypatch):

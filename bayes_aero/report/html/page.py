@@ -197,7 +197,7 @@ def render(page: Report) -> str:
     if plots:  # BokehJS without widgets, tables and MathJax, which would be fetched
         from bokeh.resources import Resources
 
-        library = Markup("\n".join(Resources(mode="inline", components=["bokeh"]).js_raw))
+        library = Markup("\n".join(Resources(mode="inline", components=["bokeh", "bokeh-api"]).js_raw))
     return environment.get_template("page.html").render(
         page=page,
         library=library,
@@ -262,9 +262,6 @@ def page_table(table: Table) -> HtmlTable:
 
 # --- Figures of a run, embedded in the page.
 
-WIDEST = 1600  # pixels; a figure for paper is drawn wider than a screen
-WIDEST_FOLDED = 1100  # the same for one that stands behind a fold
-PALETTE = 48  # of the palette: lines and text need few
 CSS_INCH = 96.0  # pixels of a screen in which a font has its nominal size
 
 
@@ -274,31 +271,19 @@ class Gallery:
     def __init__(self, paths: Mapping[str, Path], texts: Mapping[str, tuple[str, str]]) -> None:
         self.paths, self.texts = paths, texts
 
-    def __call__(self, *stems: str, widest: int = WIDEST) -> tuple[Picture, ...]:
+    def __call__(self, *stems: str) -> tuple[Picture, ...]:
         """The pictures of these stems that were drawn."""
-        pictures = []
-        for stem in (stem for stem in stems if stem in self.paths):
-            (caption, alt), (source, size, natural) = self.texts[stem], embedded(self.paths[stem], widest)
-            pictures.append(Picture(source, alt, caption, *size, natural))
-        return tuple(pictures)
-
-    def folded(self, *stems: str) -> tuple[Picture, ...]:
-        """The pictures at a smaller size."""
-        return self(*stems, widest=WIDEST_FOLDED)
+        return tuple(picture(self.paths[stem], *self.texts[stem]) for stem in stems if stem in self.paths)
 
 
-def embedded(path: Path, widest: int = WIDEST) -> tuple[str, tuple[int, int], int]:
-    """A PNG as a data URI with a palette of its own, its size (at most `widest` pixels), and its width on a screen."""
+def picture(path: Path, caption: str, alt: str) -> Picture:
+    """The PNG file as it is, which `save` made small, with its width on a screen at which text has nominal size."""
     from PIL import Image
 
     from bayes_aero.report.style import DPI
 
-    with Image.open(path) as opened:
-        image = opened.convert("RGB")
-    natural = round(CSS_INCH * image.width / DPI)
-    if image.width > widest:
-        image = image.resize((widest, round(image.height * widest / image.width)), Image.Resampling.LANCZOS)
-    small = image.quantize(PALETTE, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    buffer = io.BytesIO()
-    small.save(buffer, format="png", compress_level=9)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii"), image.size, natural
+    content = path.read_bytes()
+    with Image.open(io.BytesIO(content)) as opened:
+        width, height = opened.size
+    source = "data:image/png;base64," + base64.b64encode(content).decode("ascii")
+    return Picture(source, alt, caption, width, height, round(CSS_INCH * width / DPI))

@@ -736,7 +736,7 @@ def _causes(view: DiagnosisView, context: DiagnosisContext, gallery: Gallery) ->
         about if d.causes else "No cause is named.",
         sentence("minor", beside="", names=d.minor) if d.minor else None,
         parts.terms("glossary"),
-        fold("Every candidate's score before anything was added", screens, gallery.folded("ranking")),
+        fold("Every candidate's score before anything was added", screens, gallery("ranking")),
         list(in_band_sentences(band)),
         in_band_table(band) if band is not None and band.sizes else None,
     ]
@@ -754,7 +754,7 @@ def _by_coefficients(view: View, context: DiagnosisContext, gallery: Gallery) ->
 
     def residuals() -> Any:
         title = "Residuals: size, composition, autocorrelation, calibration"
-        return fold(title, residual_tables(view), gallery.folded("residual_profiles", "residual_colour"))
+        return fold(title, residual_tables(view), gallery("residual_profiles", "residual_colour"))
 
     def moves() -> tuple[Any, ...]:
         known = parts.symbols(view.parameters, view.moves, degrees=True)

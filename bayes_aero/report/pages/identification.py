@@ -405,21 +405,21 @@ def _validation(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
     return (
         validation_table(run, each_fold=False),
         gallery("gpr_fit", "fig2_gpr_fit"),
-        fold("Measured against predicted", gallery.folded(*CORRELATIONS.values())),
+        fold("Measured against predicted", gallery(*CORRELATIONS.values())),
     )
 
 
 def _diagnostics(run: Identification, gallery: Gallery) -> list[Any]:
     mle, tables = run.mle, [sampler_table(run, key) for key in run.posteriors]
-    bars = Gallery(gallery.paths, {"pit": pit_words(run)}).folded("pit") if "pit" in gallery.paths else ()
-    drawn = gallery.folded("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts") if tables else ()
+    bars = Gallery(gallery.paths, {"pit": pit_words(run)})("pit") if "pit" in gallery.paths else ()
+    drawn = gallery("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts") if tables else ()
     eigen = np.asarray(mle.eigenvalues)
     rank = {"rank": int(np.sum(eigen > 1e-11 * eigen.max())), "of": len(eigen), "least": eigen.min()}
     strong = [f"{a} and {b}: {r:+.3f}" for a, b, r in mle.strong_correlations()]
     return [
         fold("Calibration of the posterior's predictions", coverage_table(run), bars),
         fold("Convergence of the samplers: R-hat, effective sample size, rank plots", tables, drawn),
-        fold("Prior and posterior", gallery.folded("prior_posterior", "pair", "gp_prior_posterior")),
+        fold("Prior and posterior", gallery("prior_posterior", "pair", "gp_prior_posterior")),
         fold(
             "Identifiability: information matrix, correlated parameters",
             sentence("information", mle=mle, **rank),

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Block, Facts, Gallery, Report, page_table, section
+from bayes_aero.report.html.page import Block, Facts, Report, page_table, picture, section
 from bayes_aero.report.phrases import WORDS, bracket, for_people, plain_unit, sentence, several
 from bayes_aero.report.style import NotDrawn, grid_of, housed, save
 from bayes_aero.report.table import Table, columns_of
@@ -122,7 +122,7 @@ def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
     more = f" The first {MOST_PANELS} of {len(groups)} parameters." if len(groups) > MOST_PANELS else ""
     bars = "with its 95 % interval" if max(e.unit.max() for e in found) <= MOST_BARS else "without its interval"
     caption = f"Every unit's estimate {bars}, by the unit's number in the table below.{more}"
-    return Gallery({"across": path}, {"across": (caption, f"Estimates of all units. Means: {means}.")})("across")
+    return (picture(path, caption, f"Estimates of all units. Means: {means}."),)
 
 
 def _across(found: list[AcrossUnits]) -> tuple[Any, ...]:
