@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from importlib.resources import files
 from string import Formatter
 from typing import Any
@@ -48,21 +48,26 @@ class _Filled(Formatter):
     """Reads lists out, follows their length, and writes values with standard errors; see `sentence`."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        listed = isinstance(value, Iterable) and not isinstance(value, str)
+        listed = isinstance(value, Collection) and not isinstance(value, str)
         if format_spec.startswith("±"):
-            return size_text(*value, format_spec[1:] or "1")
+            return size_text(value[0], value[1], format_spec[1:] or "1")
         if "|" in format_spec:
             return format_spec.split("|")[(len(value) if listed else value) != 1]
         return several(value) if listed else super().format_field(value, format_spec)
 
 
-def sentence(key: str, /, **values: Any) -> str:
-    """The sentence `key` of `words.toml` with its values.
+def filled(text: str, /, **values: Any) -> str:
+    """A text with its values.
 
     `{x}` reads a list out; `{x:is|are}` is the first where `x` is, or has, one; `{x:±rad}` writes a value and its
     standard error (SI) in the unit that people read.
     """
-    return _Filled().vformat(WORDS["sentences"][key], (), values)
+    return _Filled().vformat(text, (), values)
+
+
+def sentence(key: str, /, **values: Any) -> str:
+    """The sentence `key` of `words.toml` with its values."""
+    return filled(WORDS["sentences"][key], **values)
 
 
 def for_people(unit: str) -> tuple[str, float]:

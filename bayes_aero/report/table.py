@@ -14,7 +14,7 @@ from rich.box import SIMPLE_HEAD
 from rich.text import Text
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.report.phrases import bracket, concise, plain_unit, plus_minus
+from bayes_aero.report.phrases import WORDS, bracket, concise, filled, plain_unit, plus_minus
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -152,6 +152,23 @@ class Table:
         for row in zip(*cells, strict=True):
             shown.add_row(*map(Text, row))
         return shown
+
+
+def table(
+    key: str,
+    columns: Sequence[Column],
+    /,
+    *,
+    index: int = 1,
+    below: Sequence[str] = (),
+    dense: bool = False,
+    **values: Any,
+) -> Table:
+    """The table that `words.toml` has `key` of: its titles and notes with their values."""
+    texts = {name: filled(text, **values) for name, text in WORDS["tables"][key].items()}
+    if both := texts.pop("both", ""):
+        texts |= {"note": both, "terminal_note": both}
+    return Table(columns, index=index, below=below, dense=dense, **texts)
 
 
 def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = plus_minus, between: str = "; ") -> str:

@@ -35,7 +35,7 @@ from bayes_aero.flight.health.finding import OpenError
 from bayes_aero.inference.scores import Scores, ScoreStatus
 from bayes_aero.model.model import lengths_of
 from bayes_aero.physics.aircraft import NAMES, NO_AIRCRAFT
-from bayes_aero.report.pages.diagnosis import diagnosis_sentences, verdict_sentence
+from bayes_aero.report.pages.findings import diagnosis_sentences, verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.injection import hidden_records
 

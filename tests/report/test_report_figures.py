@@ -21,14 +21,8 @@ from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, d
 from bayes_aero.report.figures.posterior import pit_histogram, pit_words
 from bayes_aero.report.figures.time_histories import broken, predicted
 from bayes_aero.report.html.page import Fold, Picture, page_table
-from bayes_aero.report.pages.diagnosis import (
-    causes_table,
-    diagnosis_alternatives,
-    probability,
-    revealed,
-    screen_table,
-    sentences,
-)
+from bayes_aero.report.pages.diagnosis import causes_table, diagnosis_alternatives, probability, screen_table
+from bayes_aero.report.pages.findings import revealed, sentences
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.phrases import size_text
 from bayes_aero.report.style import NotDrawn, close, save

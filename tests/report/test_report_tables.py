@@ -27,8 +27,9 @@ from bayes_aero.report.figures.posterior import next_flight
 from bayes_aero.report.html.page import page_table
 from bayes_aero.report.pages.diagnosis import holdout_table
 from bayes_aero.report.pages.estimates import next_flight_sentences, ordered, scatter
-from bayes_aero.report.pages.fly import error_table, gust_table
+from bayes_aero.report.pages.fly import error_table
 from bayes_aero.report.pages.identification import next_flight_table, parameter_table, validation_table
+from bayes_aero.report.pages.trajectories import gust_table
 from bayes_aero.report.phrases import concise, plus_minus, size_text
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.table import BeforeAfter, Column, Estimate, Table, cell_text, columns_of, write_csv

@@ -14,16 +14,15 @@ from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.inference.scores import Calibration, OneStep, Predicted, Share
 from bayes_aero.report.figures.posterior import one_step_quantiles
 from bayes_aero.report.html.page import page_table
-from bayes_aero.report.pages.fly import (
-    disagreement_sentences,
-    fly_sentences,
+from bayes_aero.report.pages.fly import disagreement_sentences, fly_sentences, outside, parameter_table
+from bayes_aero.report.pages.trajectories import (
+    cause_sentences,
+    lag_sentences,
     one_step_table,
-    outside,
-    parameter_table,
     prediction_sentences,
     process_noise_sentences,
+    simulation_gain,
 )
-from bayes_aero.report.pages.trajectories import cause_sentences, lag_sentences, simulation_gain
 from bayes_aero.report.phrases import nats_text
 from bayes_aero.report.style import NotDrawn
 

@@ -18,7 +18,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io import documents as parts
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.report.pages.diagnosis import sentences
+from bayes_aero.report.pages.findings import sentences
 
 SCHEMA = "bayes_aero/diagnosis/5"
 FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel

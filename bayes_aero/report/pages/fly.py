@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bayes_aero.inference.scores import COLOURED_INNOVATIONS
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import FLOWN, MET, Curve, stem_of
 from bayes_aero.report.html.page import Gallery, Report, Text, section
@@ -17,22 +16,26 @@ from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.pages import parts
 from bayes_aero.report.pages.estimates import (
     band_text,
-    engine_label,
     frequency_columns,
     frequency_sentences,
     inseparable_sentences,
     sign_sentences,
     unfinished,
 )
-from bayes_aero.report.pages.trajectories import over_measured, sources
+from bayes_aero.report.pages.trajectories import (
+    one_step_table,
+    over_measured,
+    posterior_table,
+    prediction_sentences,
+    process_noise_table,
+    sources,
+)
 from bayes_aero.report.phrases import (
     WORDS,
     amounts,
     axis_label,
     decimals,
     for_people,
-    plain_unit,
-    plus_minus,
     sentence,
     several,
     short,
@@ -50,20 +53,19 @@ from bayes_aero.report.table import (
     in_brackets,
     or_dash,
     parameter_columns,
+    table,
 )
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.trajectory_result import Disagreement, Error, Motion, ProcessNoise, TrajectoryFit
-    from bayes_aero.inference.results import Marginal, Posterior
-    from bayes_aero.inference.scores import OneStep
+    from bayes_aero.inference.results import Posterior
     from bayes_aero.parameter import Prior
 
 START, FITTED = (model for model, *_ in FLOWN)
 NOTES = WORDS["notes"]
 MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
 MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
-GUSTS = {"vertical_gust": "vertical", "longitudinal_gust": "longitudinal", "lateral_gust": "lateral"}
 MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 
 
@@ -142,98 +144,6 @@ def outside(flown: TrajectoryFit) -> dict[str, float]:
     return shares
 
 
-# --- What process noise changes, and whether its one-step predictions are calibrated.
-
-MIN_DIFFERENCE = 3.0  # combined standard errors of two estimates from which a parameter is named; our choice
-LEVEL = 0.95  # of the intervals whose shares a sentence states
-FAULTS = {
-    "too_narrow": "intervals of {} are too narrow",
-    "too_wide": "intervals of {} are too wide",
-    "not_normal": "innovations of {} are not normally distributed",
-    "coloured": "innovations of {} are autocorrelated",
-}
-MIN_INTENSITY = 2.0  # standard errors from which an intensity is distinguishable from zero; our choice
-
-
-def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) -> list[str]:
-    """Records that need process noise by their `gusts` (m/s), and which estimates of trajectories to use."""
-    if not gusts:
-        return []
-    better = " Use the estimates with process noise: in gusts those of output error are biased."
-    estimated = [f"{name} {size:.2g} m/s" for name, size in gusts.items()]
-    return [sentence("path_gusts", gusts=estimated, better=better if fit is not None and fit.preferred else "")]
-
-
-def settled_sentences(
-    found: Sequence[Disagreement], fit: ProcessNoise | None, apart: Sequence[str], *, asked: bool
-) -> list[str]:
-    """Which estimates to prefer where output error and coefficients disagree; `asked`: process noise is for that."""
-    if not found or fit is None:
-        return []
-    names = [d.name for d in found]
-    why = [sentence("disputed", names=names)] if asked else []
-    if not fit.preferred:
-        return why
-    listed = [f"{name} {plus_minus(*fit.estimates[name])}" for name in names if name in fit.estimates]
-    settled = sentence("still_apart" if apart else "settled", names=apart or names, listed=listed)
-    return [" ".join([*why, settled])]
-
-
-def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
-    """Changes by process noise, and the assumption of its standard errors."""
-    predicted = [] if found.one_step is None else prediction_sentences(found.one_step)
-    if not found.converged:
-        return [f"The fit with process noise is not usable: {found.status}."]
-    if found.gain <= 0.0:
-        return [sentence("process_noise_no_gain"), *predicted]
-    sentences = [sentence("process_noise_gain", gain=found.gain), *_estimated_gusts(found)]
-    fit, changed = flown.fit, []
-    for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
-        other, other_sd = found.estimates.get(name, (float(estimate), float(sd)))
-        if abs(other - estimate) > MIN_DIFFERENCE * float((sd**2 + other_sd**2) ** 0.5):
-            changed.append(f"{name} {plus_minus(other, other_sd)} (output error {plus_minus(estimate, sd)})")
-    if changed:
-        sentences.append(sentence("process_noise_changes", limit=MIN_DIFFERENCE, changed=changed))
-    coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED_INNOVATIONS]
-    more = ", and these standard errors are too small"
-    sentences += [sentence("coloured_innovations", names=coloured, more=more)] if coloured else []
-    return sentences + predicted
-
-
-def prediction_sentences(found: OneStep) -> list[str]:
-    """The share of each output inside its 95 % intervals, and whether predictions are calibrated."""
-    inside = []
-    for name, one in found.outputs.items():
-        share = next(s for s in one.shares if s.level == LEVEL)
-        digits = 0 if share.sd >= 0.01 else 1
-        inside.append(f"{symbol(name)} {100.0 * share.share:.{digits}f} % (± {100.0 * share.sd:.{digits}f})")
-    every = {symbol(name): one.calibration.value for name, one in found.outputs.items()}
-    every["all outputs together"] = found.together.calibration.value
-    faulty = {fault: [n for n, kind in every.items() if kind == wrong] for wrong, fault in FAULTS.items()}
-    faults = "; ".join(fault.format(several(names)) for fault, names in faulty.items() if names)
-    key = found.status if found.status in ("undecided", "calibrated") else "not_calibrated"
-    return [sentence("one_step", level=100.0 * LEVEL, inside=inside), sentence(key, faults=faults)]
-
-
-def _estimated_gusts(found: ProcessNoise) -> list[str]:
-    """Intensities of the gusts and of buffet, and scale lengths of those with an intensity."""
-    estimated, undetected = [], []
-    for name, word in ((n, word) for n, word in GUSTS.items() if n in found.gusts):
-        (intensity, sd), (length, length_sd) = found.gusts[name], found.gusts[f"{name}_length"]
-        if intensity > MIN_INTENSITY * sd:
-            estimated.append(f"{word} {plus_minus(intensity, sd)} m/s (scale length {length:z.0f} ± {length_sd:.0f} m)")
-        else:
-            undetected.append(word)
-    sentences = [f"Estimated gusts, standard deviation: {several(estimated)}."] if estimated else []
-    if undetected:
-        sentences.append(f"No {' and no '.join(undetected)} gusts are distinguishable from noise of the states.")
-    if "buffet" in found.gusts:
-        intensity, sd = found.gusts["buffet"]
-        key = "buffet" if intensity > MIN_INTENSITY * sd else "no_buffet"
-        sentences.append(sentence(key, intensity=(intensity, sd), length=found.gusts["buffet_length"]))
-    return sentences
-
-
 def motion_sentences(found: Motion | None) -> list[str]:
     """Why there are no modes, and which have no rate beyond its error."""
     if found is None:
@@ -259,24 +169,20 @@ def parameter_table(flown: TrajectoryFit) -> Table:
     marked = dict(zip(MARKS, (fit.held_by_prior, fit.at_bound, fit.undetermined), strict=True))
     remarks = [", ".join(MARKS[mark] for mark, some in marked.items() if name in some) for name in fit.names]
     both = list(map(Estimate, estimate, sd))
-    return Table(
-        [
-            *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
-            Column(start, "start", "first value", form=4),
-            Column(both, ("estimate",), "fit", "estimate", _fit, _known),
-            Column(crb, "crb", "Cramér–Rao", "CRB", 2, group=errors),
-            Column(sd, "sd_corrected", "corrected", "sd corr.", 2, group=errors),
-            *in_bands,
-            Column(priors, "prior", "prior", "prior"),
-            Column([p.bounds for p in fit.parameters], page="bounds", form=_bounds),
-            *(Column([name in some for name in fit.names], mark) for mark, some in marked.items()),
-            Column(remarks, page="remark", terminal="", form=or_dash, terminal_form=str, words=True),
-        ],
-        "Parameters fitted to the trajectories",
-        NOTES["trajectory_parameters"],
-        "Parameters fitted to trajectories: " + unparted(fit.status.name.lower().replace("_", " "), flown.following),
-        f"{NOTES['trajectory_parameters_terminal']} {said}",
-    )
+    columns = [
+        *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
+        Column(start, "start", "first value", form=4),
+        Column(both, ("estimate",), "fit", "estimate", _fit, _known),
+        Column(crb, "crb", "Cramér–Rao", "CRB", 2, group=errors),
+        Column(sd, "sd_corrected", "corrected", "sd corr.", 2, group=errors),
+        *in_bands,
+        Column(priors, "prior", "prior", "prior"),
+        Column([p.bounds for p in fit.parameters], page="bounds", form=_bounds),
+        *(Column([name in some for name in fit.names], mark) for mark, some in marked.items()),
+        Column(remarks, page="remark", terminal="", form=or_dash, terminal_form=str, words=True),
+    ]
+    status = unparted(fit.status.name.lower().replace("_", " "), flown.following)
+    return table("trajectory_parameters", columns, status=status, priors=said)
 
 
 def beside_table(flown: TrajectoryFit) -> Table:
@@ -284,15 +190,12 @@ def beside_table(flown: TrajectoryFit) -> Table:
     fit, bands = flown.fit, flown.frequency
     time = [Estimate.normal(x, sd) for x, sd in zip(fit.estimate, fit.sd_corrected, strict=True)]
     in_bands = [frequency_columns(fit.names, band, band.method.replace(" ", "\n", 1)) for band in bands]
-    return Table(
-        [
-            *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
-            Column(time, terminal="time\ndomain", terminal_form=in_brackets),
-            *(column for columns in in_bands for column in columns),
-        ],
-        terminal_title=f"Frequency domain, {band_text(bands[0])}",
-        terminal_note="In brackets: corrected standard error in units of the last digit. SI and radians.",
-    )
+    columns = [
+        *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
+        Column(time, terminal="time\ndomain", terminal_form=in_brackets),
+        *(column for columns in in_bands for column in columns),
+    ]
+    return table("in_bands", columns, band=band_text(bands[0]))
 
 
 def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
@@ -360,42 +263,31 @@ def error_table(flown: TrajectoryFit) -> Table:
     left = "" if set(flown.outputs) <= set(fitted) else " *: reported, not fitted."
     column, rms = columns_of(rows), [BeforeAfter(r.factor * r.before.rms, r.factor * r.after.rms) for r in rows]
     shares = "shares of the fit's squared error"
-    start = sentence("start_note", initial="measured" if flown.setting.initial is None else "fixed", left=left)
-    return Table(
-        [
-            Column([row.manoeuvre for row in rows], terminal="manoeuvre", words=True),
-            column(lambda r: _label(flown, r.output) + ("" if r.output in fitted else " *"), "", "output", "output"),
-            Column(rms, "", ("first values", "fit"), "RMS: start → fitted", short, group="root mean square"),
-            column(lambda r: r.factor * r.after.largest, "", "fit", "largest", short, group="largest"),
-            column(lambda r: r.after.theil.theil, "", "fit", "U", ".3f", group="Theil U"),
-            *(
-                column(lambda r, part=part: getattr(r.after.theil, part), "", part, head, ".0%", group=shares)
-                for part, head in (("bias", "bias"), ("variance", "var."), ("covariance", "cov."))
-            ),
-        ],
-        "Error of the simulated trajectories, in the unit of each output",
-        NOTES["residuals"] + left,
-        "Error of the simulated trajectory",
-        start,
-        below=[row.manoeuvre for row in rows],
-    )
+    initial = "measured" if flown.setting.initial is None else "fixed"
+    columns = [
+        Column([row.manoeuvre for row in rows], terminal="manoeuvre", words=True),
+        column(lambda r: _label(flown, r.output) + ("" if r.output in fitted else " *"), "", "output", "output"),
+        Column(rms, "", ("first values", "fit"), "RMS: start → fitted", short, group="root mean square"),
+        column(lambda r: r.factor * r.after.largest, "", "fit", "largest", short, group="largest"),
+        column(lambda r: r.after.theil.theil, "", "fit", "U", ".3f", group="Theil U"),
+        *(
+            column(lambda r, part=part: getattr(r.after.theil, part), "", part, head, ".0%", group=shares)
+            for part, head in (("bias", "bias"), ("variance", "var."), ("covariance", "cov."))
+        ),
+    ]
+    return table("errors", columns, below=[row.manoeuvre for row in rows], left=left, initial=initial)
 
 
 def tolerance_table(flown: TrajectoryFit) -> Table | None:
     """Share of the time inside the tolerance, before and after; nothing where no output has one."""
     rows = [r for r in _errors(flown) if None not in (r.after.tolerance, r.after.within, r.before.within)]
     column = columns_of(rows)
-    table = Table(
-        [
-            column(lambda r: _label(flown, r.output), page="output"),
-            column(lambda r: f"± {number(r.factor * r.after.tolerance)} {r.unit}", page="tolerance"),
-            column(lambda r: BeforeAfter(r.before.within, r.after.within), page=("first values", "fit"), form=".0%"),
-        ],
-        "Share of the time inside the tolerance",
-        "These data were fitted; errors on hold-out flights may be larger.",
-        below=[r.manoeuvre for r in rows],
-    )
-    return table if rows else None
+    columns = [
+        column(lambda r: _label(flown, r.output), page="output"),
+        column(lambda r: f"± {number(r.factor * r.after.tolerance)} {r.unit}", page="tolerance"),
+        column(lambda r: BeforeAfter(r.before.within, r.after.within), page=("first values", "fit"), form=".0%"),
+    ]
+    return table("tolerances", columns, below=[r.manoeuvre for r in rows]) if rows else None
 
 
 def initial_table(flown: TrajectoryFit) -> Table:
@@ -416,12 +308,7 @@ def initial_table(flown: TrajectoryFit) -> Table:
             Column([factor * x for *_, x, factor in rows], page="departure", form=_signed),
             Column(priors, page="prior of the departure"),
         ]
-    return Table(
-        columns,
-        f"State at the first sample: {'fitted, and its departure from the measured one' if free else 'fixed'}",
-        "" if free else "Fixed to the card's values, and to the first sample where the card gives none.",
-        below=[row[0] for row in rows],
-    )
+    return table("initial_fitted" if free else "initial_fixed", columns, below=[row[0] for row in rows])
 
 
 def _signed(x: float) -> str:
@@ -432,108 +319,7 @@ def _label(flown: TrajectoryFit, channel: str) -> str:
     return axis_label(channel, flown.units.get(channel, "1"))
 
 
-# --- Tables of a fit with process noise: parameters, gusts, posterior by both samplers, one-step predictions.
-
-
-def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
-    """A row a parameter; of each sampler mean, deviation, 95 % interval, effective sample size and R-hat."""
-    names = list(next(iter(posteriors.values())).names)
-    columns = [Column(names, "parameter", "parameter", "")]
-    for key, posterior in posteriors.items():
-        rows = [posterior.marginals[name] for name in names]
-        label = engine_label(key)
-        files = tuple(f"{key}_{part}" for part in ("mean", "sd", "low", "high"))
-        columns += [
-            Column([Estimate.of(m) for m in rows], files, "mean", label, in_brackets, group=label),
-            Column([_interval(m) for m in rows], page="95 % interval", group=label),
-            Column([m.ess for m in rows], f"{key}_ess", "ESS", f"ESS {label}", ".0f", group=label),
-            Column([m.rhat for m in rows], f"{key}_rhat", "R-hat", f"R-hat {label}", ".3f", group=label),
-        ]
-    return Table(columns, "Posterior with process noise", NOTES["posterior"], terminal_note=NOTES["posterior"])
-
-
-def _interval(m: Marginal) -> str:
-    return " to ".join(number(end, 3) for end in m.ci95)
-
-
-def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
-    """A row an output, and one for all: error, innovations over their predicted deviations, shares inside intervals."""
-    rows = [
-        (axis_label(name, units.get(name, "1")), for_people(units.get(name, "1"))[1], one)
-        for name, one in found.outputs.items()
-    ]
-    rows += [("all together", 1.0, found.together)] if len(rows) > 1 else []
-    column = columns_of(rows)
-    levels = [f"{100.0 * share.level:.0f} %" for share in found.together.shares]
-    group = "inside the interval, %"
-    inside = (
-        column(lambda r, k=k: Estimate(r[2].shares[k].share, r[2].shares[k].sd), "", head, head, _per_cent, group=group)
-        for k, head in enumerate(levels)
-    )
-    return Table(
-        [
-            column(lambda r: r[0], "", "output", ""),
-            column(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _rms),
-            column(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
-            *inside,
-            column(lambda r: r[2].calibration.value.replace("_", " "), "", "predictions", "predictions"),
-        ],
-        "Errors, and innovations inside their predictive intervals",
-        NOTES["one_step"],
-        "One-step predictions",
-        NOTES["one_step"],
-    )
-
-
-def _rms(x: float) -> str:
-    """Small ones with an exponent: a record without noise is predicted to its last digits."""
-    return short(x) if x >= 1e-4 else number(x, 2)
-
-
-def _per_cent(e: Estimate) -> str:
-    """A share with one digit of its standard error."""
-    share, sd = 100.0 * e.centre, 100.0 * e.sd
-    return f"{share:.0f}({sd:.0f})" if sd >= 0.95 else f"{share:.1f}({10.0 * sd:.0f})"
-
-
-def process_noise_table(
-    found: ProcessNoise, flown: TrajectoryFit, posteriors: Mapping[str, Posterior] | None = None
-) -> Table:
-    """Every parameter by output error and with process noise, and its credible interval where it was sampled."""
-    fit = flown.fit
-    every = zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True)
-    rows = [(p, Estimate(float(x), float(sd))) for p, x, sd in every if p.name in found.estimates]
-    ours, theirs = "output error", "with process noise"
-    return Table(
-        [
-            Column([p.name for p, _ in rows], page="parameter", terminal=""),
-            Column([plain_unit(p.unit) for p, _ in rows], page="unit"),
-            Column([estimate for _, estimate in rows], "", ours, ours, in_brackets),
-            Column([Estimate(*found.estimates[p.name]) for p, _ in rows], "", theirs, theirs, in_brackets),
-            *(
-                Column([_interval(posterior.marginals[p.name]) for p, _ in rows], "", head, head)
-                for key, posterior in (posteriors or {}).items()
-                for head in [f"95 % {engine_label(key)}"]
-            ),
-        ],
-        "Parameters with and without process noise",
-        NOTES["process_noise"],
-        terminal_note=NOTES["process_noise_terminal"],
-    )
-
-
-def gust_table(found: ProcessNoise) -> Table:
-    """A row for each sample: manoeuvre, time (s), mean and standard deviation of each gust (m/s)."""
-    column = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
-    names = dict.fromkeys(name for h in found.histories for name in h.gusts)
-    gusts = (
-        column(lambda r, name=name: Estimate(*(x[r[1]] for x in r[0].gusts[name])), (name, f"{name}_sd"))
-        for name in names
-    )
-    return Table(
-        [column(lambda r: r[0].manoeuvre, "manoeuvre"), column(lambda r: r[0].time[r[1]], "time"), *gusts], index=2
-    )
-
+# --- Modes of motion.
 
 QUANTITIES = {
     "period": "period, s",
@@ -556,21 +342,14 @@ def mode_table(found: Motion) -> Table:
         rows += quantities or [(mode, "", Estimate(math.nan, math.nan))]
     column = columns_of(rows)
     about = sentence("level_flight", m=found)
-    note = sentence(
-        "eigenvalues",
-        equations="the card's linear equations" if math.isnan(found.airspeed) else about,
-        estimates="with process noise, with errors for white innovations" if found.filtered else "of output error",
-    )
-    return Table(
-        [
-            column(lambda r: r[0].name, "", "mode", "mode"),
-            column(lambda r: QUANTITIES[r[1]], "", "quantity", "quantity"),
-            column(lambda r: r[2], "", "value", "value", in_brackets),
-        ],
-        "Modes of motion",
-        note,
-        terminal_note=note,
-    )
+    equations = "the card's linear equations" if math.isnan(found.airspeed) else about
+    estimates = "with process noise, with errors for white innovations" if found.filtered else "of output error"
+    columns = [
+        column(lambda r: r[0].name, "", "mode", "mode"),
+        column(lambda r: QUANTITIES[r[1]], "", "quantity", "quantity"),
+        column(lambda r: r[2], "", "value", "value", in_brackets),
+    ]
+    return table("modes", columns, equations=equations, estimates=estimates)
 
 
 # --- The page.

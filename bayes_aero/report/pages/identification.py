@@ -21,7 +21,7 @@ from bayes_aero.report.pages.estimates import engine_label, noise_label, ordered
 from bayes_aero.report.pages.parts import DEG, interval
 from bayes_aero.report.pages.trajectories import given_flights
 from bayes_aero.report.phrases import WORDS, from_to, plus_minus, sentence, several, unparted
-from bayes_aero.report.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
+from bayes_aero.report.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -63,14 +63,7 @@ def parameter_table(run: Identification) -> Table:
     columns += _alone_columns(run, names) if run.alone else []
     known = " “True” are the values with which the records were simulated." if truth else ""
     status = unparted(mle.status.name.lower().replace("_", " "), only_following(run.health))
-    return Table(
-        columns,
-        "Parameters by every method",
-        WORDS["notes"]["parameters"] + known,
-        f"{run.card.title}; maximum likelihood {status}",
-        "In brackets: standard deviation in units of the last digit. SI and radians.",
-        dense=True,
-    )
+    return table("parameters", columns, dense=True, known=known, card=run.card.title, status=status)
 
 
 def _sd(e: Estimate) -> str:
@@ -109,7 +102,7 @@ def alone_table(run: Identification) -> Table | None:
     names = ordered(run.mle.names, run.mle.parameters)
     own = [Column(values, page=m) for m, values in zip(run.alone, _usable(run, names), strict=True)]
     columns = [*parameter_columns(names, [unit_of(run, n) for n in names]), *own]
-    return Table(columns, "Each manoeuvre fitted alone (± Cramér–Rao)")
+    return table("alone", columns)
 
 
 def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
@@ -122,46 +115,39 @@ def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
             rows += [(split, k, name, estimates.PooledScores.of([fold[name] for fold in some])) for k, some in of]
     column = columns_of([row[-1] for row in rows])
     ml, gpr = {"group": "maximum likelihood"}, {"group": "GPR"}
-    return Table(
-        [
-            *(Column([row[k] for row in rows], name) for k, name in enumerate(("split", "fold", "coefficient"))),
-            Column([f"{split}, {name}" for split, _, name, _ in rows], page="split, coefficient"),
-            column(lambda p: p.points, "points", "points"),
-            column(lambda p: p.mle.r, page="r", form=".4f", **ml),
-            column(lambda p: p.mle.rmse, page="RMSE [-]", form=3, **ml),
-            column(lambda p: p.gp.r, "gpr_r", "r", form=".4f", **gpr),
-            column(lambda p: p.gp.rmse, "gpr_rmse", "RMSE [-]", form=3, **gpr),
-            column(lambda p: p.gp.theil, "gpr_theil"),
-            column(lambda p: p.gp.r2, "gpr_r2"),
-            column(lambda p: p.coverage.get(0.5), "gpr_coverage50"),
-            column(lambda p: p.coverage.get(0.9), "gpr_coverage90"),
-            column(lambda p: p.coverage.get(0.95), "gpr_coverage95", "inside 95 %", form=".0%", **gpr),
-            column(lambda p: p.k_hat, "gpr_k_hat", "Pareto k", form=2, **gpr),
-            column(lambda p: p.mle.r, "mle_r"),
-            column(lambda p: p.mle.rmse, "mle_rmse"),
-            column(lambda p: p.status, "gpr_status"),
-        ],
-        "Hold-out samples: the stall model (maximum likelihood) and a Gaussian process (GPR)",
-        WORDS["notes"]["validation"],
-        index=3,
-    )
+    columns = [
+        *(Column([row[k] for row in rows], name) for k, name in enumerate(("split", "fold", "coefficient"))),
+        Column([f"{split}, {name}" for split, _, name, _ in rows], page="split, coefficient"),
+        column(lambda p: p.points, "points", "points"),
+        column(lambda p: p.mle.r, page="r", form=".4f", **ml),
+        column(lambda p: p.mle.rmse, page="RMSE [-]", form=3, **ml),
+        column(lambda p: p.gp.r, "gpr_r", "r", form=".4f", **gpr),
+        column(lambda p: p.gp.rmse, "gpr_rmse", "RMSE [-]", form=3, **gpr),
+        column(lambda p: p.gp.theil, "gpr_theil"),
+        column(lambda p: p.gp.r2, "gpr_r2"),
+        column(lambda p: p.coverage.get(0.5), "gpr_coverage50"),
+        column(lambda p: p.coverage.get(0.9), "gpr_coverage90"),
+        column(lambda p: p.coverage.get(0.95), "gpr_coverage95", "inside 95 %", form=".0%", **gpr),
+        column(lambda p: p.k_hat, "gpr_k_hat", "Pareto k", form=2, **gpr),
+        column(lambda p: p.mle.r, "mle_r"),
+        column(lambda p: p.mle.rmse, "mle_rmse"),
+        column(lambda p: p.status, "gpr_status"),
+    ]
+    return table("validation", columns, index=3)
 
 
 def fit_table(run: Identification) -> Table:
     """How well the fitted model follows each coefficient."""
     column = columns_of([(name, run.mle.fit[name], run.mle.lag1[name]) for name in run.mle.fit])
-    return Table(
-        [
-            column(lambda r: r[0], page=""),
-            column(lambda r: r[1].r, page="correlation r", form=".4f"),
-            column(lambda r: r[1].r2, page="R²", form=".3f"),
-            column(lambda r: r[1].rmse, page="RMSE [-]", form=3),
-            column(lambda r: r[1].theil, page="Theil U", form=".3f"),
-            column(lambda r: r[2], page="lag-1 correlation\nof residuals", form="+.2f"),
-        ],
-        "Fit of the maximum-likelihood model to all samples",
-        WORDS["notes"]["fit"],
-    )
+    columns = [
+        column(lambda r: r[0], page=""),
+        column(lambda r: r[1].r, page="correlation r", form=".4f"),
+        column(lambda r: r[1].r2, page="R²", form=".3f"),
+        column(lambda r: r[1].rmse, page="RMSE [-]", form=3),
+        column(lambda r: r[1].theil, page="Theil U", form=".3f"),
+        column(lambda r: r[2], page="lag-1 correlation\nof residuals", form="+.2f"),
+    ]
+    return table("fit", columns)
 
 
 def sampler_table(run: Identification, key: str) -> Table:
@@ -172,15 +158,19 @@ def sampler_table(run: Identification, key: str) -> Table:
         stats = posterior.tree["sample_stats"].to_dataset() if "sample_stats" in posterior.tree.children else {}
         count = int(np.sum(np.asarray(stats["diverging"]))) if "diverging" in stats else "not recorded"
         divergent = f" Divergent transitions: {count}."
-    return Table(
-        [
-            column(lambda r: r[0], page=""),
-            column(lambda r: r[1].rhat, page="R-hat", form=".4f"),
-            column(lambda r: r[1].ess_bulk, page="bulk ESS", form=".0f"),
-            column(lambda r: r[1].ess_tail, page="tail ESS", form=".0f"),
-        ],
-        f"Convergence: {engine_label(posterior.engine)}, {noise_label(posterior.noise)} noise",
-        f"Status: {posterior.status.value}. Targets: R-hat at most 1.01, both sample sizes at least 400.{divergent}",
+    columns = [
+        column(lambda r: r[0], page=""),
+        column(lambda r: r[1].rhat, page="R-hat", form=".4f"),
+        column(lambda r: r[1].ess_bulk, page="bulk ESS", form=".0f"),
+        column(lambda r: r[1].ess_tail, page="tail ESS", form=".0f"),
+    ]
+    return table(
+        "sampler",
+        columns,
+        engine=engine_label(posterior.engine),
+        noise=noise_label(posterior.noise),
+        status=posterior.status.value,
+        divergent=divergent,
     )
 
 
@@ -199,11 +189,8 @@ def coverage_table(run: Identification) -> Table | None:
         return None
     first, *columns = zip(*rows, strict=True)
     heads = ("50 %", "90 %", "95 %")
-    return Table(
-        [Column(first, page=""), *(Column(c, page=h, form=".0%") for c, h in zip(columns, heads, strict=True))],
-        "Calibration: share of measured samples inside the predictive intervals",
-        WORDS["notes"]["coverage"],
-    )
+    columns = [Column(first, page=""), *(Column(c, page=h, form=".0%") for c, h in zip(columns, heads, strict=True))]
+    return table("coverage", columns)
 
 
 POOLED_ON_TERMINAL = 2  # manoeuvres that are shown one by one; a file has all
@@ -239,9 +226,7 @@ def next_flight_table(run: Identification) -> Table:
         columns.append(Column(values, files, head, head.splitlines()[0], *forms))
     narrowed = [found.narrowed[n] for n in names]
     columns.append(Column(narrowed, "scatter_over_prior", "scatter\nover prior", "over\nprior", form=".2f"))
-    note = "In brackets: standard deviation in units of the last digit; scatter and next flight: 95 % intervals."
-    title = "Joint fit, manoeuvres alone and pooled, and the next flight"
-    return Table(columns, title, WORDS["notes"]["next_flight"], terminal_note=note, dense=True)
+    return table("next_flight", columns, dense=True)
 
 
 def _ends(e: Estimate) -> str:

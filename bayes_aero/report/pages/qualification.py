@@ -12,7 +12,7 @@ from bayes_aero.report.html.page import Facts, HtmlTable, Plot, Points, Report, 
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.pages import parts
 from bayes_aero.report.phrases import WORDS, amounts, for_people, sentence, several, symbol
-from bayes_aero.report.table import NONE, Column, Table, columns_of
+from bayes_aero.report.table import NONE, Column, Table, columns_of, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -60,8 +60,7 @@ def points_table(asked: Mapping[str, Any]) -> Table:
         label, key = (between.join(question["effects"]) for between in (" or ", "_or_"))
         values = [p["standard_errors"][k] for p in points]
         columns.append(Column(values, f"standard_errors_{key}", label, label, ".1f", group="then apart"))
-    note = f"{WORDS['notes']['test_points']} {max(q['enough'] for q in asked['questions']):.0f} decide."
-    return Table(columns, "Test points that would decide what is open, in the order of flying", note)
+    return table("points", columns, enough=max(q["enough"] for q in asked["questions"]))
 
 
 def _order_sentence(points: Sequence[Mapping[str, Any]]) -> str:
@@ -95,7 +94,7 @@ def further_table(found: result.Further) -> Table:
     for k, test in decidable:
         head = _label(test).replace(" of ", "\n", 1)
         columns.append(Column([p.expected[k] for p in found.points], page=head, form=".2f", group="then probability"))
-    return Table(columns, "Test points that would decide tolerances, in the order of flying", WORDS["notes"]["further"])
+    return table("further", columns)
 
 
 def further_sentences(found: result.Further | None) -> tuple[str, ...]:
@@ -168,8 +167,7 @@ def verdict_table(found: Qualification) -> Table:
         *([least("TEST", "not fitted", "not fitted")] if new else []),
         least("NEXT", "next flight", "next flight"),
     ]
-    note = WORDS["notes"]["qualification_verdict"]
-    return Table(columns, "Verdict for each tolerance", note, terminal_note=note)
+    return table("verdicts", columns)
 
 
 def test_table(found: Qualification) -> Table:
@@ -200,24 +198,21 @@ def test_table(found: Qualification) -> Table:
         column(lambda t: "yes" if t.manoeuvre in away else "no", "extrapolation", "extra-\npolation"),
     ]
     below = [f"{t.manoeuvre}, {SHOWN[t.kind.name]}" for t in rows]
-    return Table(columns, "Every test", WORDS["notes"]["qualification_tests"], index=3, below=below)
+    return table("tests", columns, index=3, below=below)
 
 
 def outside_table(found: Qualification) -> Table:
     """A row for each motion that leaves the flown region."""
     column = columns_of(list(found.outside))
-    return Table(
-        [
-            column(lambda o: o.manoeuvre, "manoeuvre", "manoeuvre"),
-            column(lambda o: o.motion, "motion", "motion", words=True),
-            column(lambda o: o.share, "share", "samples\noutside", form=".0%"),
-            column(lambda o: o.distance, "distance", "farthest", form=".2f"),
-            column(lambda o: o.time, "time", "at, s", form=".1f"),
-            column(_excess, "", "from the nearest flown point", words=True),
-        ],
-        "Extrapolation: samples outside the flown region",
-        sentence("region_note", channels=found.channels),
-    )
+    columns = [
+        column(lambda o: o.manoeuvre, "manoeuvre", "manoeuvre"),
+        column(lambda o: o.motion, "motion", "motion", words=True),
+        column(lambda o: o.share, "share", "samples\noutside", form=".0%"),
+        column(lambda o: o.distance, "distance", "farthest", form=".2f"),
+        column(lambda o: o.time, "time", "at, s", form=".1f"),
+        column(_excess, "", "from the nearest flown point", words=True),
+    ]
+    return table("region", columns, channels=found.channels)
 
 
 def _excess(one: result.Outside) -> str:

@@ -16,9 +16,9 @@ from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.page import Block, Facts, Report, page_table, picture, section
-from bayes_aero.report.phrases import WORDS, bracket, for_people, plain_unit, sentence, several
+from bayes_aero.report.phrases import bracket, for_people, plain_unit, sentence, several
 from bayes_aero.report.style import NotDrawn, grid_of, housed, save
-from bayes_aero.report.table import Table, columns_of
+from bayes_aero.report.table import columns_of, table
 from bayes_aero.units import number
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
@@ -129,22 +129,18 @@ def _across(found: list[AcrossUnits]) -> tuple[Any, ...]:
     if not found:
         return ()
     column = columns_of(found[:MOST_ROWS])
-    table = Table(
-        [
-            column(lambda e: e.label, page="parameter"),
-            column(lambda e: e.method, page="method", words=True),
-            column(lambda e: len(e.value), page="units"),
-            column(lambda e: float(np.mean(e.value)), page="mean", form=4),
-            column(lambda e: plain_unit(e.si), page="unit", words=True),
-            column(lambda e: e.scatter, page="scatter", form=2),
-            column(lambda e: e.claimed, page="standard error", form=2),
-            column(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
-        ],
-        "Estimates of all units by parameter and method",
-        WORDS["notes"]["across_units"],
-    )
+    columns = [
+        column(lambda e: e.label, page="parameter"),
+        column(lambda e: e.method, page="method", words=True),
+        column(lambda e: len(e.value), page="units"),
+        column(lambda e: float(np.mean(e.value)), page="mean", form=4),
+        column(lambda e: plain_unit(e.si), page="unit", words=True),
+        column(lambda e: e.scatter, page="scatter", form=2),
+        column(lambda e: e.claimed, page="standard error", form=2),
+        column(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
+    ]
     left = len(found) - MOST_ROWS
-    return table, f"{left} more are in summary.csv." if left > 0 else ""
+    return table("across_units", columns), f"{left} more are in summary.csv." if left > 0 else ""
 
 
 def _units(units: pd.DataFrame, folder: Path) -> Block:
@@ -152,20 +148,17 @@ def _units(units: pd.DataFrame, folder: Path) -> Block:
     shown = units.assign(number=np.arange(1, len(units) + 1))
     shown = shown.sort_values("state", key=lambda s: s == "done", kind="stable").head(MOST_UNITS)
     column, left = columns_of(shown.to_dict("records")), len(units) - len(shown)
-    table = Table(
-        [
-            column(lambda row: row["unit"], page="unit"),
-            column(lambda row: row["number"], page="number"),
-            column(lambda row: row["state"], page="state", words=True),
-            column(lambda row: row["seconds"], page="time", form=lambda seconds: f"{seconds:.0f} s"),
-            *(column(lambda row, key=key: row[key] or None, page=key, words=True) for key in ("verdict", "error")),
-        ],
-        "Units of the study",
-        f"{left} more are in units.csv." if left else "",
-    )
+    columns = [
+        column(lambda row: row["unit"], page="unit"),
+        column(lambda row: row["number"], page="number"),
+        column(lambda row: row["state"], page="state", words=True),
+        column(lambda row: row["seconds"], page="time", form=lambda seconds: f"{seconds:.0f} s"),
+        *(column(lambda row, key=key: row[key] or None, page=key, words=True) for key in ("verdict", "error")),
+    ]
+    more = f"{left} more are in units.csv." if left else ""
     paths = [(name, folder / "units" / name / "report.html") for name in map(str, shown["unit"])]
     links = tuple(f"units/{quote(name)}/report.html" if path.is_file() else "" for name, path in paths)
-    return replace(page_table(table), links=links)
+    return replace(page_table(table("units", columns, left=more)), links=links)
 
 
 # --- Estimates of the units side by side: do their intervals agree with their scatter?

@@ -1,4 +1,4 @@
-"""Simulated trajectories: what they say of a diagnosis, their errors by flight and output, their time histories."""
+"""Simulated trajectories: what they say, their errors and time histories; what process noise changes in them."""
 
 from __future__ import annotations
 
@@ -12,29 +12,42 @@ import numpy as np
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import TOLERANCES
+from bayes_aero.inference.scores import COLOURED_INNOVATIONS
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import MODELS, Curve, output_panels
 from bayes_aero.report.html.page import Facts, Fold, Plot, fold
 from bayes_aero.report.html.plots import Panel
 from bayes_aero.report.pages import parts
+from bayes_aero.report.pages.estimates import engine_label
 from bayes_aero.report.phrases import (
     WORDS,
     amounts,
     axis_label,
     for_people,
     nats_text,
+    plain_unit,
+    plus_minus,
     sentence,
     several,
     short,
     size_text,
     symbol,
 )
-from bayes_aero.report.table import BeforeAfter, Column, Table
+from bayes_aero.report.table import BeforeAfter, Column, Estimate, Table, columns_of, in_brackets, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.trajectory_result import Error, SimulatedManoeuvre, Trajectories
+    from bayes_aero.diagnosis.trajectory_result import (
+        Disagreement,
+        Error,
+        ProcessNoise,
+        SimulatedManoeuvre,
+        Trajectories,
+        TrajectoryFit,
+    )
     from bayes_aero.flight.card import Card
+    from bayes_aero.inference.results import Marginal, Posterior
+    from bayes_aero.inference.scores import OneStep
 
 CARD, EXTENDED = (model for model, *_ in MODELS)
 SI = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
@@ -148,12 +161,8 @@ def hold_out_error_table(flown: Trajectories) -> Table:
         label, factor = axis_label(output, SI[output]), for_people(SI[output])[1]
         errors = _changes(flown, flights, output, lambda e, factor=factor: factor * e.rms)
         columns.append(Column(errors, "", BOTH, label, short, group=label))
-    return Table(
-        columns,
-        "Root-mean-square error of the simulated trajectory: card's model before, extended model after",
-        terminal_title="Error of the simulated trajectory (RMS), card's model → extended model",
-        terminal_note=" ".join([WORDS["notes"]["hold_out_errors"], *status_sentences(flown)]),
-    )
+    status = "".join(f" {said}" for said in status_sentences(flown))
+    return table("hold_out_errors", columns, status=status)
 
 
 def hold_out_tolerance_table(flown: Trajectories) -> Table:
@@ -169,7 +178,7 @@ def hold_out_tolerance_table(flown: Trajectories) -> Table:
         chances = [] if path is None else [path.errors[n].probability for n in banded]
         least.append(min((chance for chance in chances if chance is not None), default=None))
     columns.append(Column(least, page="whole flight inside,\nweakest output", form=".0%", group="probability"))
-    return Table(columns, "Share of the time inside the tolerance", WORDS["notes"]["hold_out_tolerances"])
+    return table("hold_out_tolerances", columns)
 
 
 def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
@@ -182,7 +191,7 @@ def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
             Column([factor * error.rms for error in errors], page="RMS", form=short, group=label),
             Column([error.within for error in errors], page="inside", form=".0%", group=label),
         ]
-    return Table(columns, "Error of the simulated trajectories", WORDS["notes"]["given"])
+    return table("given", columns)
 
 
 def _flights(flown: Trajectories) -> tuple[Flights, list[Column]]:
@@ -274,3 +283,187 @@ def over_measured(
     if any(panel.band is not None for panel in panels):
         legend.append(("tolerance", "#999999", "area"))
     return parts.histories(name, key, curves[0].path.time, [*panels, *context], tuple(legend), what)
+
+
+# --- What process noise changes, and whether its one-step predictions are calibrated.
+
+MIN_DIFFERENCE = 3.0  # combined standard errors of two estimates from which a parameter is named; our choice
+LEVEL = 0.95  # of the intervals whose shares a sentence states
+FAULTS = {
+    "too_narrow": "intervals of {} are too narrow",
+    "too_wide": "intervals of {} are too wide",
+    "not_normal": "innovations of {} are not normally distributed",
+    "coloured": "innovations of {} are autocorrelated",
+}
+GUSTS = {"vertical_gust": "vertical", "longitudinal_gust": "longitudinal", "lateral_gust": "lateral"}
+MIN_INTENSITY = 2.0  # standard errors from which an intensity is distinguishable from zero; our choice
+
+
+def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) -> list[str]:
+    """Records that need process noise by their `gusts` (m/s), and which estimates of trajectories to use."""
+    if not gusts:
+        return []
+    better = " Use the estimates with process noise: in gusts those of output error are biased."
+    estimated = [f"{name} {size:.2g} m/s" for name, size in gusts.items()]
+    return [sentence("path_gusts", gusts=estimated, better=better if fit is not None and fit.preferred else "")]
+
+
+def settled_sentences(
+    found: Sequence[Disagreement], fit: ProcessNoise | None, apart: Sequence[str], *, asked: bool
+) -> list[str]:
+    """Which estimates to prefer where output error and coefficients disagree; `asked`: process noise is for that."""
+    if not found or fit is None:
+        return []
+    names = [d.name for d in found]
+    why = [sentence("disputed", names=names)] if asked else []
+    if not fit.preferred:
+        return why
+    listed = [f"{name} {plus_minus(*fit.estimates[name])}" for name in names if name in fit.estimates]
+    settled = sentence("still_apart" if apart else "settled", names=apart or names, listed=listed)
+    return [" ".join([*why, settled])]
+
+
+def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
+    """Changes by process noise, and the assumption of its standard errors."""
+    predicted = [] if found.one_step is None else prediction_sentences(found.one_step)
+    if not found.converged:
+        return [f"The fit with process noise is not usable: {found.status}."]
+    if found.gain <= 0.0:
+        return [sentence("process_noise_no_gain"), *predicted]
+    sentences = [sentence("process_noise_gain", gain=found.gain), *_estimated_gusts(found)]
+    fit, changed = flown.fit, []
+    for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
+        other, other_sd = found.estimates.get(name, (float(estimate), float(sd)))
+        if abs(other - estimate) > MIN_DIFFERENCE * float((sd**2 + other_sd**2) ** 0.5):
+            changed.append(f"{name} {plus_minus(other, other_sd)} (output error {plus_minus(estimate, sd)})")
+    if changed:
+        sentences.append(sentence("process_noise_changes", limit=MIN_DIFFERENCE, changed=changed))
+    coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED_INNOVATIONS]
+    more = ", and these standard errors are too small"
+    sentences += [sentence("coloured_innovations", names=coloured, more=more)] if coloured else []
+    return sentences + predicted
+
+
+def prediction_sentences(found: OneStep) -> list[str]:
+    """The share of each output inside its 95 % intervals, and whether predictions are calibrated."""
+    inside = []
+    for name, one in found.outputs.items():
+        share = next(s for s in one.shares if s.level == LEVEL)
+        digits = 0 if share.sd >= 0.01 else 1
+        inside.append(f"{symbol(name)} {100.0 * share.share:.{digits}f} % (± {100.0 * share.sd:.{digits}f})")
+    every = {symbol(name): one.calibration.value for name, one in found.outputs.items()}
+    every["all outputs together"] = found.together.calibration.value
+    faulty = {fault: [n for n, kind in every.items() if kind == wrong] for wrong, fault in FAULTS.items()}
+    faults = "; ".join(fault.format(several(names)) for fault, names in faulty.items() if names)
+    key = found.status if found.status in ("undecided", "calibrated") else "not_calibrated"
+    return [sentence("one_step", level=100.0 * LEVEL, inside=inside), sentence(key, faults=faults)]
+
+
+def _estimated_gusts(found: ProcessNoise) -> list[str]:
+    """Intensities of the gusts and of buffet, and scale lengths of those with an intensity."""
+    estimated, undetected = [], []
+    for name, word in ((n, word) for n, word in GUSTS.items() if n in found.gusts):
+        (intensity, sd), (length, length_sd) = found.gusts[name], found.gusts[f"{name}_length"]
+        if intensity > MIN_INTENSITY * sd:
+            estimated.append(f"{word} {plus_minus(intensity, sd)} m/s (scale length {length:z.0f} ± {length_sd:.0f} m)")
+        else:
+            undetected.append(word)
+    sentences = [f"Estimated gusts, standard deviation: {several(estimated)}."] if estimated else []
+    if undetected:
+        sentences.append(f"No {' and no '.join(undetected)} gusts are distinguishable from noise of the states.")
+    if "buffet" in found.gusts:
+        intensity, sd = found.gusts["buffet"]
+        key = "buffet" if intensity > MIN_INTENSITY * sd else "no_buffet"
+        sentences.append(sentence(key, intensity=(intensity, sd), length=found.gusts["buffet_length"]))
+    return sentences
+
+
+def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
+    """A row a parameter; of each sampler mean, deviation, 95 % interval, effective sample size and R-hat."""
+    names = list(next(iter(posteriors.values())).names)
+    columns = [Column(names, "parameter", "parameter", "")]
+    for key, posterior in posteriors.items():
+        rows = [posterior.marginals[name] for name in names]
+        label = engine_label(key)
+        files = tuple(f"{key}_{part}" for part in ("mean", "sd", "low", "high"))
+        columns += [
+            Column([Estimate.of(m) for m in rows], files, "mean", label, in_brackets, group=label),
+            Column([_interval(m) for m in rows], page="95 % interval", group=label),
+            Column([m.ess for m in rows], f"{key}_ess", "ESS", f"ESS {label}", ".0f", group=label),
+            Column([m.rhat for m in rows], f"{key}_rhat", "R-hat", f"R-hat {label}", ".3f", group=label),
+        ]
+    return table("posterior", columns)
+
+
+def _interval(m: Marginal) -> str:
+    return " to ".join(number(end, 3) for end in m.ci95)
+
+
+def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
+    """A row an output, and one for all: error, innovations over their predicted deviations, shares inside intervals."""
+    rows = [
+        (axis_label(name, units.get(name, "1")), for_people(units.get(name, "1"))[1], one)
+        for name, one in found.outputs.items()
+    ]
+    rows += [("all together", 1.0, found.together)] if len(rows) > 1 else []
+    column = columns_of(rows)
+    levels = [f"{100.0 * share.level:.0f} %" for share in found.together.shares]
+    group = "inside the interval, %"
+    inside = (
+        column(lambda r, k=k: Estimate(r[2].shares[k].share, r[2].shares[k].sd), "", head, head, _per_cent, group=group)
+        for k, head in enumerate(levels)
+    )
+    columns = [
+        column(lambda r: r[0], "", "output", ""),
+        column(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _rms),
+        column(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
+        *inside,
+        column(lambda r: r[2].calibration.value.replace("_", " "), "", "predictions", "predictions"),
+    ]
+    return table("one_step", columns)
+
+
+def _rms(x: float) -> str:
+    """Small ones with an exponent: a record without noise is predicted to its last digits."""
+    return short(x) if x >= 1e-4 else number(x, 2)
+
+
+def _per_cent(e: Estimate) -> str:
+    """A share with one digit of its standard error."""
+    share, sd = 100.0 * e.centre, 100.0 * e.sd
+    return f"{share:.0f}({sd:.0f})" if sd >= 0.95 else f"{share:.1f}({10.0 * sd:.0f})"
+
+
+def process_noise_table(
+    found: ProcessNoise, flown: TrajectoryFit, posteriors: Mapping[str, Posterior] | None = None
+) -> Table:
+    """Every parameter by output error and with process noise, and its credible interval where it was sampled."""
+    fit = flown.fit
+    every = zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True)
+    rows = [(p, Estimate(float(x), float(sd))) for p, x, sd in every if p.name in found.estimates]
+    ours, theirs = "output error", "with process noise"
+    columns = [
+        Column([p.name for p, _ in rows], page="parameter", terminal=""),
+        Column([plain_unit(p.unit) for p, _ in rows], page="unit"),
+        Column([estimate for _, estimate in rows], "", ours, ours, in_brackets),
+        Column([Estimate(*found.estimates[p.name]) for p, _ in rows], "", theirs, theirs, in_brackets),
+        *(
+            Column([_interval(posterior.marginals[p.name]) for p, _ in rows], "", head, head)
+            for key, posterior in (posteriors or {}).items()
+            for head in [f"95 % {engine_label(key)}"]
+        ),
+    ]
+    return table("process_noise", columns)
+
+
+def gust_table(found: ProcessNoise) -> Table:
+    """A row for each sample: manoeuvre, time (s), mean and standard deviation of each gust (m/s)."""
+    column = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
+    names = dict.fromkeys(name for h in found.histories for name in h.gusts)
+    gusts = (
+        column(lambda r, name=name: Estimate(*(x[r[1]] for x in r[0].gusts[name])), (name, f"{name}_sd"))
+        for name in names
+    )
+    return Table(
+        [column(lambda r: r[0].manoeuvre, "manoeuvre"), column(lambda r: r[0].time[r[1]], "time"), *gusts], index=2
+    )
