@@ -192,13 +192,14 @@ def path(
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
     from bayes_aero.report.pages import fly as of_fit
+    from bayes_aero.report.pages import trajectories
 
     flown, beside = found.flown, found.process_noise
     tables = [of_fit.parameter_table(flown), *([of_fit.beside_table(flown)] if flown.frequency else [])]
     if beside is not None and beside.converged:
-        tables.append(of_fit.process_noise_table(beside, flown, found.posteriors))
-        tables += [] if beside.one_step is None else [of_fit.one_step_table(beside.one_step, flown.units)]
-    tables += [of_fit.posterior_table(found.posteriors)] if found.posteriors else []
+        tables.append(trajectories.process_noise_table(beside, flown, found.posteriors))
+        tables += [] if beside.one_step is None else [trajectories.one_step_table(beside.one_step, flown.units)]
+    tables += [trajectories.posterior_table(found.posteriors)] if found.posteriors else []
     tables.append(of_fit.error_table(flown))
     tables += [of_fit.mode_table(found.motion)] if found.motion is not None and found.motion.modes else []
     for table in tables:

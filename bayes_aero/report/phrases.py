@@ -48,9 +48,9 @@ class _Filled(Formatter):
     """Reads lists out, follows their length, and writes values with standard errors; see `sentence`."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        listed = isinstance(value, Collection) and not isinstance(value, str)
         if format_spec.startswith("±"):
             return size_text(value[0], value[1], format_spec[1:] or "1")
+        listed = isinstance(value, Collection) and not isinstance(value, str)
         if "|" in format_spec:
             return format_spec.split("|")[(len(value) if listed else value) != 1]
         return several(value) if listed else super().format_field(value, format_spec)

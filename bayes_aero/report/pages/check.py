@@ -13,17 +13,7 @@ import numpy as np
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.finding import Agreement
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import (
-    Facts,
-    HtmlTable,
-    Picture,
-    Plot,
-    Report,
-    Section,
-    fold,
-    page_table,
-    section,
-)
+from bayes_aero.report.html.page import Facts, HtmlTable, Picture, Plot, Report, Section, fold, page_table, section
 from bayes_aero.report.html.plots import SAMPLE, TIME, Line, Panel
 from bayes_aero.report.pages import parts
 from bayes_aero.report.phrases import (

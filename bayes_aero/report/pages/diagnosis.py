@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pandas as pd
@@ -21,6 +21,7 @@ from bayes_aero.report.pages.trajectories import simulation_gain, trajectories, 
 from bayes_aero.report.phrases import (
     WORDS,
     bracket,
+    filled,
     for_people,
     from_to,
     plain_unit,
@@ -142,11 +143,11 @@ def changes_table(d: Diagnosis) -> Table:
         column(lambda c: c.manoeuvre, "manoeuvre", "manoeuvre", "manoeuvre"),
         column(lambda c: c.at, "at", "at, s", "at, s", ".1f"),
         column(lambda c: BeforeAfter(*c.interval), ("at_low", "at_high")),
-        column(lambda c: from_to(*c.interval, 0.5), page="95 % interval, s"),
+        column(lambda c: from_to(c.interval[0], c.interval[1], 0.5), page="95 % interval, s"),
         column(lambda c: c.lasts, "lasts"),
         *(column(lambda c, n=n: Estimate(*getattr(c, n)), (n, f"{n}_sd")) for n in parts_),
         *(
-            column(lambda c, n=n: size_text(*getattr(c, n), c.unit), page=head, terminal=head)
+            column(lambda c, n=n: filled("{x:±{unit}}", x=getattr(c, n), unit=c.unit), page=head, terminal=head)
             for n, head in heads.items()
         ),
         column(lambda c: c.share, "share"),
@@ -165,7 +166,7 @@ def terms_table(d: Diagnosis) -> Table:
         column(lambda t: t.term.name, "term", "term"),
         column(lambda t: t.term.unit, "unit"),
         column(lambda t: Estimate(*t.size), ("size", "size_sd")),
-        column(lambda t: size_text(*t.size, t.term.unit), page="factor"),
+        column(lambda t: filled("{t.size:±{t.term.unit}}", t=t), page="factor"),
         column(lambda t: t.share, "share", "share left", form=".0%"),
         column(lambda t: t.gain, "elpd", "hold-out gain", None, ".1f"),
         column(lambda t: t.weight, "probability", "probability", form=".2f"),
@@ -362,14 +363,15 @@ class DiagnosisContext(parts.PageContext):
     revealed: Sequence[str] = ()
 
 
-def diagnosis_page(view: DiagnosisView | View, context: DiagnosisContext) -> Report:
+def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> Report:
     """The page of a diagnosis, by coefficients or by trajectories alone."""
-    d, by_coefficients = view.diagnosis, hasattr(view, "card")
-    gallery = Gallery(context.figures, diagnosis_alternatives(view) if by_coefficients else {})
+    d, whole = view.diagnosis, cast("View | None", view if hasattr(view, "card") else None)
+    by_coefficients = whole is not None
+    gallery = Gallery(context.figures, {} if whole is None else diagnosis_alternatives(whole))
     verdict, *rest = diagnosis_sentences(d) if by_coefficients else sentences(view)
     lead: list[Any] = [Text(one, "lead") for one in context.revealed]
-    if by_coefficients and gained(view):
-        lead.append(Text(f"On hold-out data, before and after: {gained(view)}", "lead"))
+    if whole is not None and gained(whole):
+        lead.append(Text(f"On hold-out data, before and after: {gained(whole)}", "lead"))
     if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
         lead.append(Text(gain, "lead"))
     lead.append(gallery("found") or gallery("measured_simulated"))
@@ -386,7 +388,7 @@ def diagnosis_page(view: DiagnosisView | View, context: DiagnosisContext) -> Rep
         sections=[
             parts.records_section(context),
             section("causes", "Causes of the model error", lambda: _causes(view, context, gallery)),
-            *(_by_coefficients(view, context, gallery) if by_coefficients else _flown_alone(view, context, rest)),
+            *(_flown_alone(view, context, rest) if whole is None else _by_coefficients(whole, context, gallery)),
             parts.provenance_section(context.source, context.notes),
         ],
     )

@@ -15,19 +15,8 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.pages.estimates import LIMIT, band_text, sign_sentences
 from bayes_aero.report.pages.parts import joint_text
 from bayes_aero.report.pages.trajectories import gust_sentences, trajectory_sentences
-from bayes_aero.report.phrases import (
-    WORDS,
-    amounts,
-    not_testable_sentences,
-    sentence,
-    several,
-    size_text,
-    symbol,
-)
-from bayes_aero.report.table import (
-    Estimate,
-    in_brackets,
-)
+from bayes_aero.report.phrases import WORDS, amounts, not_testable_sentences, sentence, several, size_text, symbol
+from bayes_aero.report.table import Estimate, in_brackets
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.accuracy import Size

@@ -13,23 +13,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import FLOWN, MET, Curve, stem_of
 from bayes_aero.report.html.page import Gallery, Report, Text, section
 from bayes_aero.report.html.plots import LOW, Line, Panel
-from bayes_aero.report.pages import parts
-from bayes_aero.report.pages.estimates import (
-    band_text,
-    frequency_columns,
-    frequency_sentences,
-    inseparable_sentences,
-    sign_sentences,
-    unfinished,
-)
-from bayes_aero.report.pages.trajectories import (
-    one_step_table,
-    over_measured,
-    posterior_table,
-    prediction_sentences,
-    process_noise_table,
-    sources,
-)
+from bayes_aero.report.pages import estimates, parts, trajectories
 from bayes_aero.report.phrases import (
     WORDS,
     amounts,
@@ -97,14 +81,14 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
         sentences.append(sentence("inflated", times=short(flown.variance_inflation), advice=advice))
     growth = [f"{symbol(name)} {short(x)} times" for name, x in flown.noise_growth.items() if x > MIN_GROWTH]
     sentences += [sentence("noise_growth", outputs=growth)] if growth else []
-    estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
-    found = {name: (float(value), float(sd)) for name, value, sd in estimates}
-    sentences += sign_sentences(found, fit.parameters, flown.following)
+    both = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
+    found = {name: (float(value), float(sd)) for name, value, sd in both}
+    sentences += estimates.sign_sentences(found, fit.parameters, flown.following)
     if fit.held_by_prior and not left:
         sentences.append(sentence("held_by_prior", names=fit.held_by_prior))
     if fit.undetermined and flown.converged:
         sentences.append(sentence("undetermined", names=fit.undetermined))
-    sentences += inseparable_sentences(fit.inseparable) if flown.converged else []
+    sentences += estimates.inseparable_sentences(fit.inseparable) if flown.converged else []
     if lost := [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]:
         sentences.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
     return sentences
@@ -162,7 +146,7 @@ MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the
 def parameter_table(flown: TrajectoryFit) -> Table:
     """Every parameter, SI and radians; `crb` is infinite where the data alone do not determine it."""
     fit, errors = flown.fit, "standard error"
-    in_bands = [column for band in flown.frequency for column in frequency_columns(fit.names, band)]
+    in_bands = [column for band in flown.frequency for column in estimates.frequency_columns(fit.names, band)]
     start, estimate, crb, sd = (list(map(float, x)) for x in (flown.start, fit.estimate, fit.crb, fit.sd_corrected))
     priors = [prior_text(p.prior if flown.setting.priors else None) for p in fit.parameters]
     said = NOTES["trajectory_priors"] if flown.setting.priors else "There are no priors."
@@ -172,7 +156,7 @@ def parameter_table(flown: TrajectoryFit) -> Table:
     columns = [
         *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
         Column(start, "start", "first value", form=4),
-        Column(both, ("estimate",), "fit", "estimate", _fit, _known),
+        Column(both, ("estimate",), "fit", "estimate", _fit, lambda e: in_brackets(e) if math.isfinite(e.sd) else NONE),
         Column(crb, "crb", "Cramér–Rao", "CRB", 2, group=errors),
         Column(sd, "sd_corrected", "corrected", "sd corr.", 2, group=errors),
         *in_bands,
@@ -189,13 +173,13 @@ def beside_table(flown: TrajectoryFit) -> Table:
     """For a terminal, which has no room for more columns: output error in the time domain, then the fits in a band."""
     fit, bands = flown.fit, flown.frequency
     time = [Estimate.normal(x, sd) for x, sd in zip(fit.estimate, fit.sd_corrected, strict=True)]
-    in_bands = [frequency_columns(fit.names, band, band.method.replace(" ", "\n", 1)) for band in bands]
+    in_bands = [estimates.frequency_columns(fit.names, band, band.method.replace(" ", "\n", 1)) for band in bands]
     columns = [
         *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
         Column(time, terminal="time\ndomain", terminal_form=in_brackets),
         *(column for columns in in_bands for column in columns),
     ]
-    return table("in_bands", columns, band=band_text(bands[0]))
+    return table("in_bands", columns, band=estimates.band_text(bands[0]))
 
 
 def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
@@ -220,10 +204,6 @@ def prior_text(prior: Prior | None) -> str:
         "uniform": f"{location} to {end}",
     }[prior.family]
     return f"{text}, {'card' if prior.by_card else 'default'}"
-
-
-def _known(e: Estimate) -> str:
-    return in_brackets(e) if math.isfinite(e.sd) else NONE
 
 
 def _fit(e: Estimate) -> str:
@@ -305,14 +285,14 @@ def initial_table(flown: TrajectoryFit) -> Table:
     if free:
         priors = [f"0 ± {number(factor * own[s], 2)}, default" if own else "none" for _, s, *_, factor in rows]
         columns += [
-            Column([factor * x for *_, x, factor in rows], page="departure", form=_signed),
+            Column(
+                [factor * x for *_, x, factor in rows],
+                page="departure",
+                form=lambda x: f"{'+' if x > 0.0 else ''}{number(x, 2)}",
+            ),
             Column(priors, page="prior of the departure"),
         ]
     return table("initial_fitted" if free else "initial_fixed", columns, below=[row[0] for row in rows])
-
-
-def _signed(x: float) -> str:
-    return f"{'+' if x > 0.0 else ''}{number(x, 2)}"
 
 
 def _label(flown: TrajectoryFit, channel: str) -> str:
@@ -343,13 +323,13 @@ def mode_table(found: Motion) -> Table:
     column = columns_of(rows)
     about = sentence("level_flight", m=found)
     equations = "the card's linear equations" if math.isnan(found.airspeed) else about
-    estimates = "with process noise, with errors for white innovations" if found.filtered else "of output error"
+    of = "with process noise, with errors for white innovations" if found.filtered else "of output error"
     columns = [
         column(lambda r: r[0].name, "", "mode", "mode"),
         column(lambda r: QUANTITIES[r[1]], "", "quantity", "quantity"),
         column(lambda r: r[2], "", "value", "value", in_brackets),
     ]
-    return table("modes", columns, equations=equations, estimates=estimates)
+    return table("modes", columns, equations=equations, estimates=of)
 
 
 # --- The page.
@@ -385,7 +365,9 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Report:
             section("findings", "Findings", lambda: ([*rest, *context.notes], parts.terms("terms_of_fly"))),
             parts.records_section(context),
             section("fit", "Measured and simulated", lambda: _flights(flown, units)),
-            section("errors", "Errors", lambda: (error_table(flown), inside and (inside, sources(card, units)))),
+            section(
+                "errors", "Errors", lambda: (error_table(flown), inside and (inside, trajectories.sources(card, units)))
+            ),
             section("parameters", "Parameters", lambda: _parameters(flown, context)),
             section("frequency", "In the frequency domain", lambda: _frequency(flown, context)),
             section("motion", "Modes of motion", lambda: mode_table(motion) if motion and motion.modes else None),
@@ -430,7 +412,9 @@ def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:
     what, plots = "Measured outputs, those simulated from the first values and by the fit, and the inputs", []
     for order, name in enumerate(shown):
         curves = [Curve(flown.path(name, model), *how) for model, *how in FLOWN]
-        plots.append(over_measured(name, f"time-flown-{order}", curves, units, what, _inputs(flown, order)))
+        plots.append(
+            trajectories.over_measured(name, f"time-flown-{order}", curves, units, what, _inputs(flown, order))
+        )
     free = flown.setting.initial is None
     text = sentence(
         "flown",
@@ -460,7 +444,7 @@ def _inputs(flown: TrajectoryFit, order: int) -> list[Panel]:
 def _parameters(flown: TrajectoryFit, context: FlyContext) -> list[Any]:
     """Every parameter with and without process noise, the gusts that were met, and the initial states."""
     parameters, found, gusts = flown.fit.parameters, context.process_noise, None
-    filtered = found is not None and found.converged
+    converged = found if found is not None and found.converged else None
     if found is not None and "gusts" in context.figures:
         pairs = [(name, mean) for h in found.histories for name, (mean, _) in h.gusts.items()]
         most = {name: float(np.max(np.abs(mean))) for name, mean in pairs}
@@ -470,7 +454,7 @@ def _parameters(flown: TrajectoryFit, context: FlyContext) -> list[Any]:
         gusts = _picture(context, "gusts", WORDS["captions"]["gusts"], alt)
     return [
         parameter_table(flown),
-        process_noise_table(found, flown, context.posteriors) if filtered else None,
+        converged and trajectories.process_noise_table(converged, flown, context.posteriors),
         gusts,
         parts.symbols(parameters, [p.name for p in parameters], parts.conventions(context.card)),
         initial_table(flown),
@@ -483,7 +467,7 @@ def _frequency(flown: TrajectoryFit, context: FlyContext) -> tuple[Any, ...]:
         return ()
     coherent = several(f"{r.output} over {r.input} {np.median(r.coherence):.2f}" for r in flown.frequency_responses)
     bode = _picture(context, "bode", WORDS["captions"]["bode"], f"Bode plots. Median coherence: {coherent}.")
-    return [said for fit in flown.frequency for said in frequency_sentences(fit)], bode
+    return [said for fit in flown.frequency for said in estimates.frequency_sentences(fit)], bode
 
 
 def _predictions(flown: TrajectoryFit, context: FlyContext) -> tuple[Any, ...]:
@@ -498,7 +482,7 @@ def _predictions(flown: TrajectoryFit, context: FlyContext) -> tuple[Any, ...]:
     )
     alt = f"Quantile plots of innovations by output: {by}."
     picture = _picture(context, "one_step", WORDS["captions"]["one_step"], alt)
-    return prediction_sentences(found), one_step_table(found, flown.units), picture
+    return trajectories.prediction_sentences(found), trajectories.one_step_table(found, flown.units), picture
 
 
 def _posterior(context: FlyContext) -> tuple[Any, ...]:
@@ -507,8 +491,8 @@ def _posterior(context: FlyContext) -> tuple[Any, ...]:
         return ()
     caption = "Draws of the parameters with the largest correlations, and their marginal densities."
     return (
-        parts.warnings(unfinished(context.posteriors)),
+        parts.warnings(estimates.unfinished(context.posteriors)),
         WORDS["paragraphs"]["posterior"],
-        posterior_table(context.posteriors),
+        trajectories.posterior_table(context.posteriors),
         _picture(context, "pair", caption, f"Pair plot. {caption}"),
     )

@@ -266,7 +266,7 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
     """The page; its first screen is what is signed. `source` is its provenance."""
     lines = (("☐ accepted", BLANK, BLANK, BLANK), ("☐ refused, because", BLANK, BLANK, BLANK))
     signature = HtmlTable("Decision of the evaluator", ("", "name", "signature", "date"), lines, words=(1, 2, 3))
-    said, points = WORDS["qualification"], found.further is not None and found.further.points
+    said, further = WORDS["qualification"], found.further
     origins = tuple((name.capitalize(), text) for name, text in found.origins.items())
     tolerances = tuple((name, origin) for name, (_, origin) in found.tolerances.items())
     draws = f"{found.draws} flights are drawn for every test."
@@ -286,7 +286,10 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
             section(
                 "further",
                 "What would decide the rest",
-                lambda: (list(further_sentences(found.further)), further_table(found.further) if points else None),
+                lambda: (
+                    list(further_sentences(further)),
+                    further_table(further) if further and further.points else None,
+                ),
             ),
             section("strips", "Strips", lambda: _strips(found)),
             section("tests", "Every test", lambda: test_table(found)),

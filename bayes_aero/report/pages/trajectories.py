@@ -63,10 +63,12 @@ def simulation_gain(flown: Trajectories) -> str:
         joint = (float(np.sqrt(np.mean(np.square(of)))) for of in rms)
         before, after, unit = amounts(SI[output], *joint)
         listed += [f"{symbol(output)} from {before} to {after}{unit}"] if before != after else []
+    if not listed:
+        return ""
     besides = [f"with {flown.lag.effect}"] if flown.lag is not None and flown.lag.kept else []
     besides += [f"without {several(flown.out)}"] if flown.out else []
     gain = sentence("simulation_gain", model=f" ({several(besides)})" if besides else "", listed=listed)
-    return " ".join([gain, *status_sentences(flown)]) if listed else ""
+    return " ".join([gain, *status_sentences(flown)])
 
 
 def trajectory_sentences(flown: Trajectories, *, tolerances: bool = True) -> list[str]:
@@ -415,17 +417,18 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
     )
     columns = [
         column(lambda r: r[0], "", "output", ""),
-        column(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _rms),
+        column(
+            lambda r: None if r[2].rms is None else r[1] * r[2].rms,
+            "",
+            "RMS",
+            "RMS",
+            lambda x: short(x) if x >= 1e-4 else number(x, 2),
+        ),
         column(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
         *inside,
         column(lambda r: r[2].calibration.value.replace("_", " "), "", "predictions", "predictions"),
     ]
     return table("one_step", columns)
-
-
-def _rms(x: float) -> str:
-    """Small ones with an exponent: a record without noise is predicted to its last digits."""
-    return short(x) if x >= 1e-4 else number(x, 2)
 
 
 def _per_cent(e: Estimate) -> str:
