@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +14,6 @@ from matplotlib.ticker import MaxNLocator
 from scipy.signal import welch
 
 from bayes_aero.diagnosis.result import FLIGHT_PATH
-from bayes_aero.diagnosis.trajectory_result import Fitted, Ranking, Trajectories, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.report import style
@@ -22,6 +21,9 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import drawn
 from bayes_aero.report.html.plots import Line, Panel
 from bayes_aero.report.phrases import WORDS, bracket, channel_axis, for_people, short, size_text
+
+if TYPE_CHECKING:
+    from bayes_aero.diagnosis.trajectory_result import Fitted, Ranking, Trajectories, View
 
 PROFILES = 3  # channels shown for each coefficient
 COPY = 0.95  # correlation beyond which two channels tell the same
