@@ -154,21 +154,13 @@ class Table:
         return shown
 
 
-def table(
-    key: str,
-    columns: Sequence[Column],
-    /,
-    *,
-    index: int = 1,
-    below: Sequence[str] = (),
-    dense: bool = False,
-    **values: Any,
-) -> Table:
-    """The table that `words.toml` has `key` of: its titles and notes with their values."""
-    texts = {name: filled(text, **values) for name, text in WORDS["tables"][key].items()}
+def table(key: str, columns: Sequence[Column], /, **values: Any) -> Table:
+    """A `Table` whose titles and notes `words.toml` has, with their values; `index`, `below`, `dense` are its own."""
+    own = {name: values[name] for name in ("index", "below", "dense") if name in values}
+    texts: dict[str, Any] = {name: filled(text, **values) for name, text in WORDS["tables"][key].items()}
     if both := texts.pop("both", ""):
         texts |= {"note": both, "terminal_note": both}
-    return Table(columns, index=index, below=below, dense=dense, **texts)
+    return Table(columns, **own, **texts)
 
 
 def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = plus_minus, between: str = "; ") -> str:

@@ -216,26 +216,17 @@ def next_flight_table(run: Identification) -> Table:
         for kind, values in (("alone", single), ("pooled", [Estimate.of(found.pooled[m][n]) for n in names])):
             heads = kind if one_by_one else None, f"{m}\npooled" if few and kind == "pooled" else None
             columns.append(Column(values, (f"{m}_{kind}", f"{m}_{kind}_sd"), *heads, group=m))
-    for key, head, numbers, forms in (
-        ("aircraft", "aircraft", found.aircraft, ("", in_brackets)),
-        ("scatter", "scatter\n95 %", found.scatter, (_near_zero, _near_zero)),
-        ("next_flight", "next flight\n95 %", found.following, (_ends, _ends)),
+    for key, head, numbers, form, on_terminal in (
+        ("aircraft", "aircraft", found.aircraft, "", in_brackets),
+        ("scatter", "scatter\n95 %", found.scatter, lambda e: f"{number(e.low, 2)} to {number(e.high, 2)}", ""),
+        ("next_flight", "next flight\n95 %", found.following, lambda e: from_to(e.low, e.high, e.sd), ""),
     ):
         files = tuple(f"{key}_{part}".rstrip("_") for part in PARTS)
         values = [Estimate.of(numbers[n]) for n in names]
-        columns.append(Column(values, files, head, head.splitlines()[0], *forms))
+        columns.append(Column(values, files, head, head.splitlines()[0], form, on_terminal))
     narrowed = [found.narrowed[n] for n in names]
     columns.append(Column(narrowed, "scatter_over_prior", "scatter\nover prior", "over\nprior", form=".2f"))
     return table("next_flight", columns, dense=True)
-
-
-def _ends(e: Estimate) -> str:
-    return from_to(e.low, e.high, e.sd)
-
-
-def _near_zero(e: Estimate) -> str:
-    """Of a scatter, whose lower end is near zero."""
-    return f"{number(e.low, 2)} to {number(e.high, 2)}"
 
 
 # --- Captions and alternative texts of the figures, which say in numbers what each shows.
