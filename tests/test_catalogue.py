@@ -19,7 +19,7 @@ from bayes_aero.model.observations import marks, observe, response_scales
 from bayes_aero.model.records import marks_of
 from bayes_aero.physics.aircraft import Aircraft, Axis
 from bayes_aero.physics.kinematics import path_rates
-from bayes_aero.report.text.identification import sign_sentences
+from bayes_aero.report.pages.estimates import sign_sentences
 
 AIRCRAFT = Aircraft(
     mass=15000.0, Ix=1e5, Iy=2e5, Iz=3e5, Ixz=1e4,

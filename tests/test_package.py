@@ -39,7 +39,7 @@ from bayes_aero.jobs.check import RecordChecks
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.noise import DEFAULT, Colour
 from bayes_aero.physics.filters import smooth
-from bayes_aero.report.tables.comparison import ordered
+from bayes_aero.report.pages.estimates import ordered
 
 PUBLIC = {
     "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",

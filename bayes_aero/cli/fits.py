@@ -54,8 +54,8 @@ def identify(
     with terminal.loading():
         from bayes_aero.flight.card import read_card
         from bayes_aero.jobs import identify as job
-        from bayes_aero.report.tables.run_tables import next_flight_table, parameter_table
-        from bayes_aero.report.text.identification import verdict
+        from bayes_aero.report.pages.estimates import verdict
+        from bayes_aero.report.pages.identification import next_flight_table, parameter_table
         from bayes_aero.simulate.demo import TRUTH, demo_records
 
     console, truth = terminal.teller(quiet=json, highlight=True), None
@@ -103,10 +103,10 @@ def diagnose(
     with terminal.loading():
         from bayes_aero.jobs.catalogue import refuse_existing, write_effects
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
-        from bayes_aero.report.design import in_band_sentences, points_sentences
-        from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
-        from bayes_aero.report.tables.fly import hold_out_error_table
-        from bayes_aero.report.text.diagnosis import revealed, sentences
+        from bayes_aero.report.pages.diagnosis import causes_table, screen_table
+        from bayes_aero.report.pages.findings import in_band_sentences, revealed, sentences
+        from bayes_aero.report.pages.qualification import points_sentences
+        from bayes_aero.report.pages.trajectories import hold_out_error_table
 
     if write_effect is not None:
         refuse_existing(write_effect)
@@ -207,14 +207,15 @@ def path(
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
-    from bayes_aero.report.tables import fly as of_fit
+    from bayes_aero.report.pages import fly as of_fit
+    from bayes_aero.report.pages import trajectories
 
     flown, beside = found.flown, found.process_noise
     tables = [of_fit.parameter_table(flown), *([of_fit.beside_table(flown)] if flown.frequency else [])]
     if beside is not None and beside.converged:
-        tables.append(of_fit.process_noise_table(beside, flown, found.posteriors))
-        tables += [] if beside.one_step is None else [of_fit.one_step_table(beside.one_step, flown.units)]
-    tables += [of_fit.posterior_table(found.posteriors)] if found.posteriors else []
+        tables.append(trajectories.process_noise_table(beside, flown, found.posteriors))
+        tables += [] if beside.one_step is None else [trajectories.one_step_table(beside.one_step, flown.units)]
+    tables += [trajectories.posterior_table(found.posteriors)] if found.posteriors else []
     tables.append(of_fit.error_table(flown))
     tables += [of_fit.mode_table(found.motion)] if found.motion is not None and found.motion.modes else []
     for table in tables:
@@ -325,7 +326,7 @@ def qualify(
     terminal.check_result(result)
     with terminal.loading():
         from bayes_aero.jobs.qualify import RESULTS, qualify_result
-        from bayes_aero.report.qualification import further_sentences, sentences, verdict_sentence, verdict_table
+        from bayes_aero.report.pages.qualification import further_sentences, sentences, verdict_sentence, verdict_table
 
     console = terminal.teller(quiet=json)
     with terminal.working(out) as tell:
@@ -478,7 +479,7 @@ def _row(p: Planned) -> dict[str, Any]:
 
 def print_plan(console: Console, planned: list[Planned]) -> None:
     """The units with their state."""
-    from bayes_aero.report.tables.table import Table, columns_of
+    from bayes_aero.report.table import Table, columns_of
 
     of = columns_of(planned)
     unit, state = of(lambda p: p.unit.name, terminal="unit", words=True), of(lambda p: p.state.word, terminal="state")

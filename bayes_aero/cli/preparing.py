@@ -67,8 +67,8 @@ def check(
 
 def print_report(console: Console, report: CheckReport) -> None:
     """Cautions, each record, what the records can be used for, whether the sensors agree."""
-    from bayes_aero.report.tables.table import channel_table, sampling
-    from bayes_aero.report.text import check as text
+    from bayes_aero.report.pages import check as text
+    from bayes_aero.report.pages.check import channel_table, sampling
 
     doubt, told = report.consistency.disagrees, text.sensor_sentences(report)
     for caution in (*report.cautions, *told[:doubt]):
@@ -91,7 +91,7 @@ def print_report(console: Console, report: CheckReport) -> None:
         console.print(sentence)
     for name, error in report.sensors.errors.items():
         faint = " (too small to be named)" if error["minor"] else ""
-        console.print(f"  {name}: {error['claim']} {text.sizes(error)}{faint}")
+        console.print(f"  {name}: {error['claim']} {text.parts.error_sizes(error)}{faint}")
     if not report.sensors.note:
         console.print(f"  {text.left_over(report)}")
     colour = "red" if not report.usable else "yellow" if report.cautions or doubt else "green"
@@ -231,8 +231,8 @@ def print_table(found: Sequence[Mapping[str, Any]]) -> None:
 
 def print_effect(effect: Mapping[str, Any]) -> None:
     """Claim, formula, parameters with their priors, worked example, source."""
-    from bayes_aero.report.text.check import facts, parameter_facts, worked
-    from bayes_aero.report.text.phrases import unit_behind
+    from bayes_aero.report.pages.check import facts, parameter_facts, worked
+    from bayes_aero.report.phrases import unit_behind
 
     console = terminal.teller(highlight=True)
 

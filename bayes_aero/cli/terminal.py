@@ -183,7 +183,7 @@ def conclude(
     the sensors were, else the fit answers whether they agree; `failed`: the result is of no use; `doubtful`: it is in
     doubt whatever the records are.
     """
-    from bayes_aero.report.text.check import consistency_sentences
+    from bayes_aero.report.pages.parts import consistency_sentences
 
     failed_parts: Sequence[str] = found.failures if failures is None else failures
     agreement: Consistency | None = found.consistency if compared else None

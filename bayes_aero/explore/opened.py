@@ -29,8 +29,8 @@ from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.parameter import Parameter
 from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
-from bayes_aero.report.text.check import consistency_sentences
-from bayes_aero.report.text.phrases import for_people, plain_unit
+from bayes_aero.report.pages.parts import consistency_sentences
+from bayes_aero.report.phrases import for_people, plain_unit
 from bayes_aero.residuals.equation_error import EquationError
 
 

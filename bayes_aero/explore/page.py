@@ -39,7 +39,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.jobs.finished import FORMS
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.plots import FARTHEST, Line, extremes, scale
-from bayes_aero.report.text.phrases import axis_label, bracket, for_people
+from bayes_aero.report.phrases import axis_label, bracket, for_people
 
 Parts = Mapping[str, np.ndarray]
 

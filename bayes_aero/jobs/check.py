@@ -26,7 +26,7 @@ from bayes_aero.model.records import despiked_records, joined, on_recorded_axes,
 from bayes_aero.physics.aircraft import needed_channels, required_of
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.progress import Progress
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.phrases import several
 from bayes_aero.residuals.base import too_few_windows
 
 

@@ -38,13 +38,19 @@ from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
-from bayes_aero.report.design import points_table
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES, ViewFigures, draw_all
 from bayes_aero.report.html.page import put_page
-from bayes_aero.report.pages.diagnosis import DiagnosisContext, diagnosis_page
-from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
-from bayes_aero.report.tables.table import write_csv
-from bayes_aero.report.text.diagnosis import revealed
+from bayes_aero.report.pages.diagnosis import (
+    DiagnosisContext,
+    causes_table,
+    changes_table,
+    diagnosis_page,
+    screen_table,
+    terms_table,
+)
+from bayes_aero.report.pages.findings import revealed
+from bayes_aero.report.pages.qualification import points_table
+from bayes_aero.report.table import write_csv
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
 
 

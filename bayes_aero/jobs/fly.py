@@ -47,17 +47,18 @@ from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.physics.kinematics import PATH_CORE
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
+from bayes_aero.report.figures.frequency import FREQUENCY_FIGURES
 from bayes_aero.report.figures.posterior import one_step_quantiles, pair_of
 from bayes_aero.report.figures.time_histories import fly_figures, gusts
-from bayes_aero.report.frequency import FREQUENCY_FIGURES, frequency_sentences
 from bayes_aero.report.html.page import put_page
-from bayes_aero.report.pages.fly import FlyContext, fly_page
+from bayes_aero.report.pages import fly as text
+from bayes_aero.report.pages import trajectories
+from bayes_aero.report.pages.estimates import frequency_sentences, posterior_sentences
+from bayes_aero.report.pages.fly import FlyContext, fly_page, motion_sentences, parameter_table
+from bayes_aero.report.pages.trajectories import gust_table, posterior_table
+from bayes_aero.report.phrases import several
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.tables.fly import gust_table, motion_sentences, parameter_table, posterior_table
-from bayes_aero.report.tables.table import write_csv
-from bayes_aero.report.text import fly as text
-from bayes_aero.report.text.identification import posterior_sentences
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.table import write_csv
 from bayes_aero.residuals.equation_error import lines_in
 
 UNFILTERED = "Process noise was not fitted, because output error did not converge."
@@ -134,9 +135,9 @@ def findings(
     """The sentences on a fit; `hindered`: why diagnose cannot use the records, `disturbed`: with process noise."""
     apart, beside = found.apart, found.process_noise
     return (
-        *text.gust_sentences(gusts, beside),
-        *text.settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed),
-        *(() if beside is None else text.process_noise_sentences(beside, found.flown)),
+        *trajectories.gust_sentences(gusts, beside),
+        *trajectories.settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed),
+        *(() if beside is None else trajectories.process_noise_sentences(beside, found.flown)),
         *text.fly_sentences(found.flown, hindered, disturbed=disturbed),
         *text.disagreement_sentences(apart, hindered),
         *motion_sentences(found.motion),

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from functools import wraps
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -25,7 +25,9 @@ from matplotlib.transforms import Bbox
 from PIL import Image
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.inference.results import Identification
+
+if TYPE_CHECKING:
+    from bayes_aero.inference.results import Identification
 
 DPI = 150
 COLOURS = 128  # of a file's palette: lines and text need few, and are packed in half the time
@@ -57,7 +59,7 @@ class NotDrawn(Exception):  # noqa: N818 - not an error: the run simply has noth
     """The run holds nothing for this figure; the text says what is missing."""
 
 
-Drawing = Callable[[Identification], Figure]
+Drawing = Callable[["Identification"], Figure]
 Shown = TypeVar("Shown")
 
 

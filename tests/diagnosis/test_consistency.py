@@ -46,8 +46,8 @@ from bayes_aero.model.records import joined
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth
 from bayes_aero.physics.kinematics import LATERAL, PATH, Rotation, integral, lever_arm, path_rates, side_force
-from bayes_aero.report.text.check import consistency_sentences, open_sentences
-from bayes_aero.report.text.identification import verdict
+from bayes_aero.report.pages.estimates import verdict
+from bayes_aero.report.pages.parts import consistency_sentences, open_sentences
 from bayes_aero.residuals.base import FlightPathError
 from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import hidden_records

@@ -44,7 +44,7 @@ from bayes_aero.jobs.store import plain
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import FLIGHT, NAMES, Axis
-from bayes_aero.report.text.diagnosis import diagnosis_sentences
+from bayes_aero.report.pages.findings import diagnosis_sentences
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import OutputError
 from bayes_aero.simulate.demo import TRUTH

@@ -62,9 +62,10 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.aircraft import FLIGHT
-from bayes_aero.report.design import in_band_sentences
 from bayes_aero.report.figures.diagnosis import spectrum
-from bayes_aero.report.text.fly import disagreement_sentences, settled_sentences
+from bayes_aero.report.pages.findings import in_band_sentences
+from bayes_aero.report.pages.fly import disagreement_sentences
+from bayes_aero.report.pages.trajectories import settled_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import Beyond, flyable, hidden_records
 

@@ -18,7 +18,7 @@ from bayes_aero.jobs.check import check_records
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.aircraft import DEFAULT_RANGES
-from bayes_aero.report.text.check import card_sentences
+from bayes_aero.report.pages.check import card_sentences
 
 # [aircraft]: what follows from other constants need not be stated
 STATED = {

@@ -46,8 +46,7 @@ from bayes_aero.model.observations import join
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import NO_AIRCRAFT
 from bayes_aero.physics.filters import differentiate
-from bayes_aero.report.tables.fly import parameter_rows
-from bayes_aero.report.text.fly import fly_sentences
+from bayes_aero.report.pages.fly import fly_sentences, parameter_rows
 
 # Output error on flights whose truth is known: recovery, intervals, and what it says where it cannot tell
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}

@@ -26,7 +26,7 @@ from bayes_aero.inference.sampling import Drawn, assemble
 from bayes_aero.inference.validation import Dependence, prior_sensitivity
 from bayes_aero.model.noise import LogDensity
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.report.text.identification import (
+from bayes_aero.report.pages.estimates import (
     bound_sentences,
     conflict_sentences,
     inseparable_sentences,

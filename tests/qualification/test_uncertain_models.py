@@ -18,7 +18,7 @@ from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.qualification.flights import HoldOut, OpenTest, _Linear, _precision, _shrunk, further_flights
 from bayes_aero.qualification.qualify import BLOCK_SECONDS, Region, Structure, Uncertain, nearest, qualify
 from bayes_aero.qualification.result import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
-from bayes_aero.report.qualification import further_sentences
+from bayes_aero.report.pages.qualification import further_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
 FREE = {"az0": -9.8, "azde": 1.0}

@@ -32,11 +32,10 @@ from bayes_aero.report.html.page import (
     section,
 )
 from bayes_aero.report.html.plots import Line, Panel, extremes, linked
-from bayes_aero.report.pages.captions import stall_table
 from bayes_aero.report.pages.diagnosis import DiagnosisContext, diagnosis_page
-from bayes_aero.report.pages.identification import headline, identification_page
+from bayes_aero.report.pages.identification import coverage_table, headline, identification_page, parameter_table
+from bayes_aero.report.pages.parts import stall_table
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables.run_tables import coverage_table, parameter_table
 
 HOSTILE = """<script>alert(1)</script>"'&$$x$$</title>"""
 

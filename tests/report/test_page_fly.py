@@ -16,11 +16,19 @@ from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.io.results import RESULTS
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures.time_histories import stem_of
-from bayes_aero.report.html.page import Fold, HtmlTable, Picture, Plot, at_a_glance, page_table, put_page, render
+from bayes_aero.report.html.page import Fold, HtmlTable, Picture, Plot, page_table, put_page, render
 from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
-from bayes_aero.report.pages.fly import FlyContext, fly_page
+from bayes_aero.report.pages.fly import (
+    FlyContext,
+    error_table,
+    fly_page,
+    initial_table,
+    motion_sentences,
+    parameter_table,
+    tolerance_table,
+)
+from bayes_aero.report.pages.parts import at_a_glance
 from bayes_aero.report.pages.study import MOST_UNITS, estimates, study_headline, study_page
-from bayes_aero.report.tables.fly import error_table, initial_table, motion_sentences, parameter_table, tolerance_table
 
 DEGREE = np.deg2rad(1.0)
 

@@ -27,9 +27,10 @@ from bayes_aero.report.figures import posterior, prior
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.html.page import section, write_page
 from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
-from bayes_aero.report.pages.fly import FlyContext, fly_page, trajectories
+from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.pages.study import study_page
+from bayes_aero.report.pages.trajectories import trajectories
 
 pytestmark = needed
 

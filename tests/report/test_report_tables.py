@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 import xarray as xr
 from calling import holds
-from report_samples import flight
 from rich.console import Console
 
 import bayes_aero as ba
@@ -24,14 +23,13 @@ from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.figures.posterior import next_flight
 from bayes_aero.report.html.page import page_table
+from bayes_aero.report.pages.diagnosis import holdout_table
+from bayes_aero.report.pages.estimates import next_flight_sentences, ordered, scatter
+from bayes_aero.report.pages.identification import next_flight_table, parameter_table, validation_table
+from bayes_aero.report.pages.trajectories import gust_table
+from bayes_aero.report.phrases import concise, plus_minus, size_text
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables.comparison import ordered, scatter
-from bayes_aero.report.tables.diagnosis_tables import holdout_table
-from bayes_aero.report.tables.fly import error_table, gust_table
-from bayes_aero.report.tables.run_tables import next_flight_table, parameter_table, validation_table
-from bayes_aero.report.tables.table import BeforeAfter, Column, Estimate, Table, cell_text, columns_of, write_csv
-from bayes_aero.report.text.identification import next_flight_sentences
-from bayes_aero.report.text.phrases import concise, plus_minus, size_text
+from bayes_aero.report.table import BeforeAfter, Column, Estimate, Table, cell_text, columns_of, write_csv
 from bayes_aero.units import number
 
 
@@ -94,7 +92,7 @@ def test_what_is_no_number_is_a_dash(value, form):
     assert cell_text(value, form) == "–"
 
 
-def test_a_narrow_terminal_loses_no_digit_and_shows_units():
+def test_a_narrow_terminal_loses_no_digit():
     head = [f"output {k} [m/s]" for k in range(6)]
     columns = [Column([BeforeAfter(12.25 + k, 0.125)], "", None, name, ".3f") for k, name in enumerate(head)]
     text = printed(Table([Column(["flight"], "name", None, "manoeuvre"), *columns]))
@@ -102,9 +100,6 @@ def test_a_narrow_terminal_loses_no_digit_and_shows_units():
     assert all(f"{12.25 + k:.3f}" in text for k in range(6))
     assert text.count("0.125") == 6
     assert max(map(len, text.splitlines())) <= 80
-    # Units in square brackets are no markup.
-    text = printed(error_table(flight().flown), 100)
-    assert all(label in text for label in ("α [deg]", "q [deg/s]", "az [m/s²]"))
 
 
 def test_words_keep_room_on_a_terminal_of_80_columns():
@@ -123,17 +118,19 @@ def test_words_keep_room_on_a_terminal_of_80_columns():
 
 
 @pytest.mark.parametrize(
-    ("value", "sd", "text", "brackets"),
+    ("value", "sd", "text", "brackets", "in_unit"),
     [
-        (-0.39102, 0.0159, "-0.391 ± 0.016", "-0.391(16)"), (23.716, 1.5, "23.7 ± 1.5", "23.7(15)"),
-        (120.4, 35.0, "120 ± 35", "120(35)"), (1.5, np.nan, "1.5", "1.5"), (1.5, 0.0, "1.5", "1.5"),
-        (-0.03, 5.7, "0.0 ± 5.7", "0.0(57)"), (12345.6, 0.0, "12346", "12346"),
+        (-0.39102, 0.0159, "-0.391 ± 0.016", "-0.391(16)", ("rad", "-22.40 ± 0.91 deg")),
+        (23.716, 1.5, "23.7 ± 1.5", "23.7(15)", ("m/s", "23.7 ± 1.5 m/s")), (1.5, np.nan, "1.5", "1.5", ("s", "1.5 s")),
+        (120.4, 35.0, "120 ± 35", "120(35)", ("1", "120 ± 35")), (1.5, 0.0, "1.5", "1.5", ("1", "1.5")),
+        (-0.03, 5.7, "0.0 ± 5.7", "0.0(57)", ("1", "0.0 ± 5.7")), (12345.6, 0.0, "12346", "12346", ("1", "12346")),
     ],
 )  # fmt: skip
-def test_numbers_with_standard_errors(value, sd, text, brackets):
+def test_numbers_with_standard_errors(value, sd, text, brackets, in_unit):
     assert plus_minus(value, sd) == text
-    assert size_text(value, sd, "1") == text
     assert concise(value, sd) == brackets
+    unit, expected = in_unit
+    assert size_text(value, sd, unit) == expected
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import re
 import tomllib
 from dataclasses import replace
+from string import Formatter
 
 import jsonschema
 import pytest
@@ -19,11 +20,11 @@ from bayes_aero.jobs.io.documents import ChangePart, document_schema
 from bayes_aero.jobs.store import plain
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
+from bayes_aero.report.pages.diagnosis import changes_table
+from bayes_aero.report.pages.estimates import sign_sentences, verdict
+from bayes_aero.report.pages.findings import change_sentences, diagnosis_sentences
 from bayes_aero.report.pages.identification import headline
-from bayes_aero.report.tables.diagnosis_tables import changes_table
-from bayes_aero.report.text.diagnosis import change_sentences, diagnosis_sentences
-from bayes_aero.report.text.identification import sign_sentences, verdict
-from bayes_aero.report.text.phrases import not_testable_sentences
+from bayes_aero.report.phrases import WORDS, filled, not_testable_sentences, several
 
 
 def sentence(run, *words: str) -> str:
@@ -255,3 +256,22 @@ def test_one_sentence_counts_every_effect_once():
     assert counts == [3, 1, 1, 1]
     holds(said, "canard, dlc_left and dlc_right", "(beta)", "(e)", "{tried} later")
     assert not_testable_sentences({}) == []
+
+
+def test_sentences_read_lists_out_follow_their_length_and_write_errors():
+    text = "{names} {names:is|are} {size:±{unit}} ({share:.0%})"
+    one, two = (filled(text, names=names, size=(0.01, 0.001), unit="rad", share=0.5) for names in (["a"], ("a", "b")))
+    assert (one, two) == ("a is 0.573 ± 0.057 deg (50%)", "a and b are 0.573 ± 0.057 deg (50%)")
+    assert filled("{n} {n:effect is|effects are}", n=1) == "1 effect is"
+    assert several("abcd", 2) == "a and b and 2 more"
+    assert all(parse(text) for part in ("sentences", "tables") for text in leaves(WORDS[part]))
+
+
+def leaves(words):
+    """All texts of nested tables."""
+    return [text for one in words.values() for text in (leaves(one) if isinstance(one, dict) else [one])]
+
+
+def parse(text):
+    """The fields of a template; ValueError if it is none."""
+    return list(Formatter().parse(text)) or [()]

@@ -50,11 +50,11 @@ from bayes_aero.jobs.store import picked
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.tables.comparison import flown
-from bayes_aero.report.tables.fly import parameter_rows
-from bayes_aero.report.tables.run_tables import PooledScores, next_flight_table, parameter_table, validation_table
-from bayes_aero.report.tables.table import write_csv
-from bayes_aero.report.text.diagnosis import sentences
+from bayes_aero.report.pages.estimates import PooledScores, flown
+from bayes_aero.report.pages.findings import sentences
+from bayes_aero.report.pages.fly import parameter_rows
+from bayes_aero.report.pages.identification import next_flight_table, parameter_table, validation_table
+from bayes_aero.report.table import write_csv
 
 FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,15 +13,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.signal import welch
 
-from bayes_aero.diagnosis.result import FLIGHT_PATH, Fitted, Ranking, Trajectories, View
+from bayes_aero.diagnosis.result import FLIGHT_PATH
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.results import Scores, score
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import drawn
 from bayes_aero.report.html.plots import Line, Panel
-from bayes_aero.report.tables.diagnosis_tables import SPLITS
-from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, short, size_text
+from bayes_aero.report.phrases import WORDS, bracket, channel_axis, for_people, short, size_text
+
+if TYPE_CHECKING:
+    from bayes_aero.diagnosis.result import Fitted, Ranking, Trajectories, View
 
 PROFILES = 3  # channels shown for each coefficient
 COPY = 0.95  # correlation beyond which two channels tell the same
@@ -131,7 +133,7 @@ def gain(view: View) -> Figure:
             ax.set_xticks([x for x in ticks if left <= x and (key == "rmse" or x <= 1.0)])
             ax.set_xlabel(f"{label} of {name} [-]")
     brackets = "; in brackets: not confirmed, and not in what follows" if any(not c.confirmed for c in causes) else ""
-    figure.suptitle(f"On hold-out data ({SPLITS[view.diagnosis.split]}), cause after cause{brackets}")
+    figure.suptitle(f"On hold-out data ({WORDS['splits'][view.diagnosis.split]}), cause after cause{brackets}")
     return figure
 
 

@@ -5,17 +5,19 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.result import View
 from bayes_aero.errors import failure
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures import diagnosis, posterior, prior, time_histories
 from bayes_aero.report.style import Drawing, NotDrawn, save
 
-ViewFigures = Mapping[str, Callable[[View], Figure]]
+if TYPE_CHECKING:
+    from bayes_aero.diagnosis.result import View
+
+ViewFigures = Mapping[str, Callable[["View"], Figure]]
 FIGURES: dict[str, Drawing] = dict(sorted((posterior.FIGURES | prior.FIGURES | time_histories.FIGURES).items()))
 """What an identification shows: the seed paper's nine under its numbers, then what Bayesian identification adds."""
 DIAGNOSIS_FIGURES: ViewFigures = (

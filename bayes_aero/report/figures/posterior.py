@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import arviz_base as azb
 import numpy as np
@@ -12,17 +12,20 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
-from bayes_aero.diagnosis.result import ProcessNoise
-from bayes_aero.inference.results import Identification, Posterior, score
+from bayes_aero.inference.results import score
 from bayes_aero.model.noise import Colour
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import of_coefficient, predicted, what_is_shown
-from bayes_aero.report.tables import comparison
-from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered, unit_of
-from bayes_aero.report.tables.table import NORMAL95, Estimate
-from bayes_aero.report.text.phrases import GREEK, WORDS, bracket, plus_minus, several
+from bayes_aero.report.pages import estimates as comparison
+from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered, unit_of
+from bayes_aero.report.phrases import GREEK, WORDS, bracket, plus_minus, several
+from bayes_aero.report.table import NORMAL95, Estimate
+
+if TYPE_CHECKING:
+    from bayes_aero.diagnosis.result import ProcessNoise
+    from bayes_aero.inference.results import Identification, Posterior
 
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
 RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows with it

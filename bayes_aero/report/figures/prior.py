@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -18,15 +18,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.diagnosis.result import View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.inference.results import Identification, Posterior, Stall
 from bayes_aero.model.noise import Noise
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered
+from bayes_aero.report.phrases import bracket
 from bayes_aero.report.style import Drawing, NotDrawn, grid_of, housed, legend_below, panels
-from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered
-from bayes_aero.report.text.phrases import bracket
+
+if TYPE_CHECKING:
+    from bayes_aero.diagnosis.result import View
+    from bayes_aero.inference.results import Identification, Posterior, Stall
 
 WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
 

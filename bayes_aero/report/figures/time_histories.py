@@ -6,22 +6,26 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.diagnosis.result import FITTED, START, ProcessNoise, SimulatedManoeuvre, TrajectoryFit, View
+from bayes_aero.diagnosis.result import FITTED, START
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.inference.results import Identification, score
+from bayes_aero.inference.results import score
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.plots import Line, Panel, extremes, scale
-from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, short, symbol
+from bayes_aero.report.phrases import bracket, channel_axis, for_people, short, symbol
+
+if TYPE_CHECKING:
+    from bayes_aero.diagnosis.result import ProcessNoise, SimulatedManoeuvre, TrajectoryFit, View
+    from bayes_aero.inference.results import Identification
 
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
 HISTORY = ("alpha", "theta", "q", "elevator", "ax", "az", "airspeed", "altitude", "mach", "thrust")

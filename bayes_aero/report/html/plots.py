@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_aero.report.text.phrases import bracket
+from bayes_aero.report.phrases import bracket
 
 MOST = 1600  # points a line: more than a screen has columns
 PANEL, AXIS = 150, 44  # pixels: height of a panel, and of the time axis below the last

@@ -1,114 +1,205 @@
-"""The report of a check: what is in the records, what they are good for, whether the sensors agree."""
+"""What is shown before anything is fitted: a check of records, a starter card, a simulated record, the catalogue."""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import CheckReport
-from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.record import FlightRecord
-from bayes_aero.parameter import Parameter
+from bayes_aero.flight.health import Agreement
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html import page as html
-from bayes_aero.report.html.page import Block, Fold, HtmlTable, Text, bullets, page_table, section
+from bayes_aero.report.html.page import Facts, HtmlTable, Picture, Plot, Report, Section, fold, page_table, section
 from bayes_aero.report.html.plots import SAMPLE, TIME, Line, Panel
-from bayes_aero.report.tables.table import channel_table
-from bayes_aero.report.text import check as text
-from bayes_aero.report.text.phrases import bracket, for_people, plain_unit, several, symbol
+from bayes_aero.report.pages import parts
+from bayes_aero.report.phrases import (
+    bracket,
+    for_people,
+    not_testable_sentences,
+    plain_unit,
+    sentence,
+    several,
+    symbol,
+    unit_behind,
+)
+from bayes_aero.report.table import Column, Table, columns_of
 from bayes_aero.units import number
 
-SHOWN = ("airspeed", "altitude", "alpha", "theta", "q", "az", "ax", "elevator", "stabilizer", "thrust", "beta", "phi")
-LEGEND = (("recorded", COLOURS["measured"], "solid"),)
+if TYPE_CHECKING:
+    from bayes_aero.diagnosis.result import CheckReport
+    from bayes_aero.flight.card import Card
+    from bayes_aero.flight.reading import RecordReport
+    from bayes_aero.flight.record import FlightRecord
+    from bayes_aero.parameter import Parameter
+
+MAX_PARTS = 12  # of a file in a sentence; the JSON has all
+CHANNELS = (
+    "airspeed", "altitude", "alpha", "theta", "q", "az", "ax", "elevator", "stabilizer", "thrust", "beta", "phi",
+)  # fmt: skip
 
 
-def check_page(report: CheckReport, source: Mapping[str, Any]) -> html.Report:
+def headline(report: CheckReport) -> str:
+    """The verdict in a sentence."""
+    if report.usable:
+        able = [name for name, why in report.uses.items() if not why]
+        wrong = {
+            Agreement.EXPLAINED: f"; the sensors disagree ({several(report.sensors.errors)})",
+            Agreement.UNEXPLAINED: ", but the sensors disagree and no known error explains it",
+        }.get(report.consistency.agreement, "")
+        if any(finding.grave for finding in report.health):  # the apparent sensor error would be an error of the card
+            wrong = ", but first correct the card or the file: channels are faulty (see the warnings)"
+        return f"Usable for {', '.join(able)}{wrong}."
+    problems = [p for r in report.records for p in r.problems] or [f"{n}: {w}" for n, w in report.uses.items() if w]
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    return f"Not usable as it is: {problems[0]}{more}." if problems else "Not usable as it is."
+
+
+def part_sentences(record: RecordReport) -> list[str]:
+    """The parts of a file that may be analysed in place of the whole, as they are written on the command line."""
+    sentences = []
+    for what, words in (("in flight", "parts in flight"), ("manoeuvre", "manoeuvres")):
+        if places := [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]:
+            more = f" and {len(places) - MAX_PARTS} more" if len(places) > MAX_PARTS else ""
+            sentences.append(f"{words}: {', '.join(places[:MAX_PARTS])}{more}")
+    return [*sentences, sentence("give_parts")] if sentences else []
+
+
+def unused_columns(report: CheckReport) -> list[tuple[str, ...]]:
+    """Columns of each record that the card does not map; of records with the same ones, at the first of them."""
+    seen: set[tuple[str, ...]] = set()
+    return [() if r.unused in seen or seen.add(r.unused) else r.unused for r in report.records]
+
+
+def card_sentences(report: CheckReport) -> list[str]:
+    """Channels that the card adds to the files."""
+    card, units = report.card, {"thrust": "N"} | {name: c.unit for name, c in STANDARD_CHANNELS.items()}
+    behind = {name: f" {units[name]}".removesuffix(" 1") if name in units else " in SI" for name in card.constants}
+    sentences = [f"constant from the card: {name} = {x:g}{behind[name]}" for name, x in card.constants.items()]
+    for rule in dict.fromkeys(card.derived.values()):
+        formed = ", ".join(name for name, of in card.derived.items() if of == rule)
+        sentences.append(f"computed by the card's rule, where not recorded ({rule}): {formed}")
+    sentences += [f"table from the card: {name} over {table.said}" for name, table in card.tables.items()]
+    for name, summands in card.sums.items():
+        factors = [("-" if k < 0 else "+", "" if abs(k) == 1.0 else f"{abs(k):g} ", n) for n, k in summands.items()]
+        formula = " ".join(f"{sign} {factor}{part}" for sign, factor, part in factors).removeprefix("+ ")
+        sentences.append(f"sum from the card: {name} = {formula}")
+    return sentences
+
+
+def use_sentences(report: CheckReport) -> list[str]:
+    """Possible uses of the records, and effects that cannot be tested on them."""
+    uses = [f"{name}: {f'not possible, {why}' if why else 'possible'}" for name, why in report.uses.items()]
+    return [*report.left_out, *uses, *not_testable_sentences(report.not_testable)]
+
+
+def sensor_sentences(report: CheckReport) -> list[str]:
+    """Whether the sensors agree, and errors that are found although they are within the noise."""
+    slight = report.sensors.errors and not report.consistency.disagrees
+    within = ["Errors within this noise, which diagnose includes:"] if slight else []
+    return [*parts.consistency_sentences(report.consistency, corrects=False), *within]
+
+
+def left_over(report: CheckReport) -> str:
+    """Root mean square residual of the flight path by signal, before and after correction."""
+    left, shown = [], slice(1 if not report.sensors.errors else 2)
+    for name, pair in report.sensors.rms.items():
+        unit, factor = for_people(STANDARD_CHANNELS[name].unit)
+        left.append(f"{name} {' → '.join(number(factor * x) for x in pair[shown])} {unit}")
+    return f"root mean square residual: {', '.join(left)}"
+
+
+def sampling(record: RecordReport) -> str:
+    """Samples, duration and rate."""
+    rate = f"{1.0 / record.dt:.4g} Hz" if record.dt > 0.0 else "no sampling rate"
+    return f"{record.samples} samples, {record.duration:.6g} s, {rate}"
+
+
+def channel_table(record: RecordReport) -> Table:
+    """A row for each channel: where it is taken from, its unit and range; values are in the file's own units."""
+    column = columns_of(record.channels)
+    marks = ((["sign reversed"] * (c.sign < 0), ["does not move"] * (not c.moves)) for c in record.channels)
+    unit, values = "unit → inside", "range in the file"
+    return Table(
+        [
+            column(lambda c: c.name, "", "channel", "channel"),
+            column(lambda c: c.place, "", "taken from", "taken from", words=True),
+            column(lambda c: c.unit if c.unit == c.si else f"{c.unit} → {c.si}", "", unit, unit),
+            column(lambda c: f"{c.lowest:.5g} to {c.highest:.5g}", "", values, values),
+            Column([", ".join([*turned, *still]) for turned, still in marks], "", "remark", "", words=True),
+        ],
+        f"{sampling(record)}; {record.gaps} gaps, {record.uneven} uneven steps",
+        terminal_title="",
+    )
+
+
+def check_page(report: CheckReport, source: Mapping[str, Any]) -> Report:
     """The page; the first record's time histories stand at its top."""
     sound = [r.record for r in report.records if r.record is not None]
     wrong = [f"{r.path}: {p}" for r in report.records for p in r.problems]
     plots = recorded(sound)
-    parts = [sentence for r in report.records for sentence in text.part_sentences(r)]  # worth a record of their own
-
-    def uses() -> tuple[Block, ...]:
-        sentences = [*text.use_sentences(report), *parts]
-        return (*bullets(sentences), *html.not_testable_list(report.not_testable))
-
-    return html.Report(
+    uses = [*use_sentences(report), *(said for r in report.records for said in part_sentences(r))]
+    return Report(
         title=f"Record check: {report.card.title}",
         subtitle="Channels, units, sampling, and whether the sensors agree; no aerodynamics is fitted",
-        verdict=text.headline(report),
-        doubts=(
-            *html.consistency_lead(report.consistency, corrects=False),
-            *(Text(w, "warning") for w in (*wrong, *report.cautions)),
-        ),
+        verdict=headline(report),
+        doubts=[parts.doubts(report.consistency), parts.warnings([*wrong, *report.cautions])],
         lead=plots[:1],
-        sections=html.filled(
-            section("uses", "Use of the records", uses),
+        sections=[
+            section("uses", "Use of the records", lambda: (uses, parts.not_testable_list(report.not_testable))),
             section("sensors", "Do the sensors agree?", lambda: _sensors(report)),
-            section(
-                "records", "The records at a glance", lambda: html.at_a_glance(sound, report.card) if sound else ()
-            ),
+            section("records", "The records at a glance", lambda: sound and parts.at_a_glance(sound, report.card)),
             section("channels", "Source of each channel", lambda: _channels(report)),
             section("histories", "More records", lambda: plots[1:]),
-            section("provenance", "Provenance", lambda: html.provenance_blocks(source)),
-        ),
+            parts.provenance_section(source),
+        ],
     )
 
 
-def recorded(records: list[FlightRecord]) -> tuple[Block, ...]:
+def recorded(records: Sequence[FlightRecord]) -> tuple[Plot | str, ...]:
     """Each record's main channels over time; the first few where there are many."""
-    shown, remark = html.first([record.name for record in records])
+    shown, remark = parts.first([record.name for record in records])
     plots = []
     for order, record in enumerate(records[: len(shown)]):
-        units = {name: STANDARD_CHANNELS[name].unit for name in SHOWN if record.has(name)}
-        known = {n: for_people(unit) for n, unit in units.items()}
+        known = {n: for_people(STANDARD_CHANNELS[n].unit) for n in CHANNELS if record.has(n)}
         panels = [_panel(symbol(n), unit, factor * record[n]) for n, (unit, factor) in known.items()]
         if panels:
-            key = f"time-recorded-{order}"
-            plots.append(html.histories(record.name, key, record.time, panels, LEGEND, "Recorded channels"))
-    return (*plots, *remark)
+            key, legend = f"time-recorded-{order}", (("recorded", COLOURS["measured"], "solid"),)
+            plots.append(parts.histories(record.name, key, record.time, panels, legend, "Recorded channels"))
+    return (*plots, remark)
 
 
 def _panel(name: str, unit: str, values: np.ndarray) -> Panel:
     return Panel(name, unit, (Line("recorded", COLOURS["measured"], values),))
 
 
-def _sensors(report: CheckReport) -> tuple[Block, ...]:
-    said, errors = bullets(text.sensor_sentences(report)), report.sensors.errors
+def _sensors(report: CheckReport) -> tuple[Any, ...]:
+    said, errors = sensor_sentences(report), report.sensors.errors
     if report.sensors.note:
-        return said
+        return (said,)
     faint = {True: "too small to be named", False: ""}
-    rows = tuple((name, e["claim"], text.sizes(e), faint[e["minor"]]) for name, e in errors.items())
+    rows = tuple((name, e["claim"], parts.error_sizes(e), faint[e["minor"]]) for name, e in errors.items())
     head = ("error", "claim", "size ± sd", "remark")
     table = HtmlTable("Errors estimated along the flight path", head, rows, words=(1, 2, 3)).lean()
-    left = text.left_over(report)
-    return (
-        *said,
-        *html.open_list(report.consistency),
-        *((table,) if rows else ()),
-        Text(f"{left[:1].upper()}{left[1:]}."),
-    )
+    left = left_over(report)
+    return said, parts.open_list(report.consistency), table if rows else None, f"{left[:1].upper()}{left[1:]}."
 
 
-def _channels(report: CheckReport) -> tuple[Block, ...]:
+def _channels(report: CheckReport) -> list[Any]:
     tables = []
-    for r, columns in zip(report.records, text.unused_columns(report), strict=True):
+    for r, columns in zip(report.records, unused_columns(report), strict=True):
         remarks = [f"On the card, not in the file (not required): {', '.join(r.missing)}."] if r.missing else []
         remarks += [f"In the file, not on the card: {', '.join(columns)}."] if columns else []
-        tables.append(Fold(r.path, (page_table(channel_table(r)).lean(), *bullets([*remarks, *r.remarks]))))
-    return (*tables, *bullets(text.card_sentences(report)))
+        tables.append(fold(r.path, page_table(channel_table(r)).lean(), [*remarks, *r.remarks]))
+    return [*tables, card_sentences(report)]
 
 
 # --- The report of a starter card: which column was taken for what, why, and what only its user can know.
 
 MOST_PANELS = 16
-TAKEN = "recorded, with the sign and in the unit that were guessed"
-ASIS = "recorded, as it is in the file"
-WITHOUT = "identify needs {} to form coefficients, diagnose then works from trajectories alone"
 
 
 @dataclass(frozen=True)
@@ -146,30 +237,30 @@ class StarterView:
     blind: Sequence[str] = ()  # accelerations that were not found
 
 
-def card_page(view: StarterView, source: Mapping[str, Any]) -> html.Report:
+def card_page(view: StarterView, source: Mapping[str, Any]) -> Report:
     """The page."""
-    used, many = [t for t in view.taken if not t.doubt], len(view.blind) > 1
+    used = [t for t in view.taken if not t.doubt]
     columns = len(view.taken) + len(view.unknown)
     left = f"{len(view.todo)} entries are to be filled in" if view.todo else "no entry is left to be filled in"
-    without = WITHOUT.format("them" if many else "it")
-    blind = f" {' and '.join(view.blind)} {'were' if many else 'was'} not found: {without}." if view.blind else ""
+    blind = f" {sentence('blind', names=view.blind)}" if view.blind else ""
     panels = [_panel(t.channel, t.unit or "unit?", t.sign * t.values) for t in used if t.channel != "time"]
-    todo = [HtmlTable("Entries that say TODO", ("entry", "what it is"), tuple(view.todo), words=(1,))]
-    return html.Report(
+    todo = HtmlTable("Entries that say TODO", ("entry", "what it is"), tuple(view.todo), words=(1,))
+    taken = "recorded, with the sign and in the unit that were guessed"
+    return Report(
         title=f"Starter card: {view.card}",
         subtitle=f"Written from the columns of {view.record}; every line is a proposal to be checked",
         verdict=f"{len(used)} of {columns} columns were assigned to channels; {left}.{blind}",
-        lead=_drawn(view, "time-columns", "Recorded columns", TAKEN, panels),
-        sections=html.filled(
-            section("todo", "To be completed", lambda: todo if view.todo else ()),
+        lead=[_drawn(view, "time-columns", "Recorded columns", taken, panels)],
+        sections=[
+            section("todo", "To be completed", lambda: todo if view.todo else None),
             section("guesses", "Proposals and their evidence", lambda: _guesses(view.taken)),
             section("unknown", "Columns without a proposal", lambda: _unknown(view)),
-            section("provenance", "Provenance", lambda: html.provenance_blocks(source)),
-        ),
+            parts.provenance_section(source),
+        ],
     )
 
 
-def _drawn(view: StarterView, key: str, title: str, said: str, panels: Sequence[Panel]) -> tuple[html.Plot, ...]:
+def _drawn(view: StarterView, key: str, title: str, said: str, panels: Sequence[Panel]) -> Plot | None:
     """Columns over time, or over the number of the sample where no time was found; those of one length."""
     time = view.time
     known = time is not None and len(time) > 1 and bool(np.all(np.diff(time) > 0.0))
@@ -177,10 +268,10 @@ def _drawn(view: StarterView, key: str, title: str, said: str, panels: Sequence[
     x, over = (np.asarray(time), TIME) if known else (np.arange(longest, dtype=float), SAMPLE)
     shown = [p for p in panels if len(p.lines[0].values) == len(x) > 1][:MOST_PANELS]
     legend = ((said, COLOURS["measured"], "solid"),)
-    return (html.histories(view.record, key, x, shown, legend, title, over),) if shown else ()
+    return parts.histories(view.record, key, x, shown, legend, title, over) if shown else None
 
 
-def _guesses(taken: Sequence[Taken]) -> tuple[Block, ...]:
+def _guesses(taken: Sequence[Taken]) -> tuple[Any, ...]:
     rows = tuple(
         (
             t.channel,
@@ -194,16 +285,15 @@ def _guesses(taken: Sequence[Taken]) -> tuple[Block, ...]:
     )
     said = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
     head = ("channel", "column", "unit", "sign", "range in the file", "evidence")
-    return (Text(said), HtmlTable("Guesses", head, rows, words=(5,))) if rows else ()
+    return (said, HtmlTable("Guesses", head, rows, words=(5,))) if rows else ()
 
 
-def _unknown(view: StarterView) -> tuple[Block, ...]:
-    if not view.unknown:
-        return ()
+def _unknown(view: StarterView) -> tuple[Any, ...]:
     said = "They stand in the card as comments; give them a name there if the model needs them."
-    places = tuple(rest.place + (": no numbers" if rest.values is None else "") for rest in view.unknown)
+    places = [rest.place + (": no numbers" if rest.values is None else "") for rest in view.unknown]
     panels = [_panel(r.place, r.unit or "unit?", r.values) for r in view.unknown if r.values is not None]
-    return (Text(said), html.Points(places), *_drawn(view, "time-rest", "Columns without a name", ASIS, panels))
+    as_is = "recorded, as it is in the file"
+    return (said, places, _drawn(view, "time-rest", "Columns without a name", as_is, panels)) if places else ()
 
 
 # --- The page of a simulated record: channels, true parameters, hidden effects.
@@ -211,7 +301,7 @@ def _unknown(view: StarterView) -> tuple[Block, ...]:
 
 def simulated_page(
     record: FlightRecord, card: Card, truth: Mapping[str, Any], parameters: Sequence[Parameter]
-) -> html.Report:
+) -> Report:
     """The page; `truth` is what stands in the file beside the record, `parameters` are those that were flown."""
     units = {p.name: plain_unit(p.unit) for p in parameters}
     behind = {name: "" if unit == "-" else f" {unit}" for name, unit in units.items()}
@@ -219,11 +309,9 @@ def simulated_page(
     for effect, values in truth["effects"].items():
         sizes = (f"{name} = {number(x)}{behind.get(name, ' in SI')}" for name, x in values.items())
         hidden.append(f"{effect} ({', '.join(sizes)})")
-    verdict = f"A simulated record of {record.time[-1] - record.time[0]:.0f} s; " + (
-        f"hidden effect: {several(hidden)}." if hidden else "no effect is hidden in it."
-    )
+    said = f"hidden effect: {several(hidden)}." if hidden else "no effect is hidden in it."
 
-    def true() -> tuple[Block, ...]:
+    def true() -> tuple[Any, ...]:
         asked = {name for values in truth["effects"].values() for name in values}
         rows = tuple(
             (f"{name} {bracket(units.get(name, '-'))}", number(x, 6), "hidden" if name in asked else "")
@@ -236,17 +324,143 @@ def simulated_page(
         return (
             HtmlTable("True parameters, SI and radians", ("parameter", "value", "remark"), rows, words=(2,)).lean(),
             HtmlTable(title, ("", "value"), tuple(noise)),
-            html.symbols(parameters, [p.name for p in parameters]),
+            parts.symbols(parameters, [p.name for p in parameters]),
         )
 
-    return html.Report(
+    return Report(
         title=f"Simulated record: {record.name}",
         subtitle="A synthetic flight record and its true parameters",
-        verdict=verdict,
-        lead=(*(Text(note, "warning") for note in truth["notes"]), *recorded([record])),
-        sections=html.filled(
-            section("records", "The record at a glance", lambda: html.at_a_glance([record], card)),
+        verdict=f"A simulated record of {record.time[-1] - record.time[0]:.0f} s; {said}",
+        lead=[parts.warnings(truth["notes"]), recorded([record])],
+        sections=[
+            section("records", "The record at a glance", lambda: parts.at_a_glance([record], card)),
             section("truth", "True parameters", true),
-            section("provenance", "Provenance", lambda: html.provenance_blocks(truth["provenance"])),
-        ),
+            parts.provenance_section(truth["provenance"]),
+        ],
     )
+
+
+# --- The catalogue of effects: all of them in a table, then each with its formula, priors and source.
+
+Described = Mapping[str, Any]
+"""An effect as the catalogue describes it."""
+
+
+def facts(effect: Described) -> list[tuple[str, str]]:
+    """Name and text of what holds for the effect as a whole."""
+    channel = effect["stage"] == "channel"
+    stage = "acts on the recorded channels" if channel else f"acts at the stage {effect['stage']}"
+    known = [
+        ("kind", f"{effect['kind']}; {stage}"),
+        ("axes", " and ".join(effect["axes"])),
+        ("formula", " ".join(effect["formula"].split()) or "not stated"),
+        ("needs", ", ".join(effect["needs"]) or "nothing"),
+    ]
+    if effect["rests_on"]:
+        known.append(("uses", ", ".join(effect["rests_on"]) + " of other effects in the model"))
+    if effect["model"] is not None:
+        known.append(("card", "in the card's model" if effect["model"] else "not in the card's model"))
+    if not effect["proposed_by_diagnose"]:
+        known.append(("diagnose", "never proposes it; a card may name it"))
+    return known
+
+
+def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The same of one of its parameters, beside its description."""
+    known = [
+        ("neutral", f"{shown(p['neutral'])}{unit_behind(p['unit'])}: there the effect is absent"),
+        ("bounds", f"{shown(p['bounds'][0])} to {shown(p['bounds'][1])}"),
+        ("prior", f"{p['prior']['text']} ({p['prior']['source']})"),
+    ]
+    if p["least_worth_modelling"] is not None:
+        least, most = shown(p["least_worth_modelling"]), shown(p["largest_plausible"])
+        known.append(("sizes", f"smallest worth modelling {least} from neutral, largest plausible {most}"))
+    return known
+
+
+def worked(effect: Described) -> str:
+    """The worked example in a sentence."""
+    example = effect["example"]
+    given, added = (
+        ", ".join(f"{name} = {shown(value)}" for name, value in values.items())
+        for values in (example["parameters"] | example["signals"] | example["known"], example["increments"])
+    )
+    return f"{given} adds {added} ({example['source']})"
+
+
+def shown(value: Any) -> str:
+    """A number, or numbers in brackets."""
+    if isinstance(value, Sequence):
+        return "(" + ", ".join(shown(x) for x in value) + ")"
+    if math.isinf(value):
+        return "-infinity" if value < 0.0 else "infinity"
+    return f"{value:g}"
+
+
+def effects_page(
+    found: Sequence[Described],
+    source: Mapping[str, Any],
+    aircraft: str | None = None,
+    pictures: Sequence[Picture] = (),
+) -> Report:
+    """The page; `aircraft` is the title of the card, if any."""
+    if len(found) == 1:
+        title, verdict = f"Effect: {found[0]['name']}", found[0]["claim"]
+        sections = [section("effect", "Description", lambda: _explained(found[0]))]
+    else:
+        kinds = Counter(effect["kind"] for effect in found)
+        title = "Catalogue of effects"
+        verdict = f"{len(found)} effects: {several(f'{n} of {kind}' for kind, n in sorted(kinds.items()))}"
+        verdict += f"; diagnose screens {sum(effect['proposed_by_diagnose'] for effect in found)} of them"
+        if aircraft:
+            verdict += f"; {sum(bool(effect['model']) for effect in found)} are in the card's model"
+        verdict += "."
+        sections = [_kind(kind, [e for e in found if e["kind"] == kind]) for kind in sorted(kinds)]
+    return Report(
+        title=title,
+        subtitle="Effects of the aircraft, its sensors and the air for a model"
+        + (f"; card: {aircraft}" if aircraft else ""),
+        verdict=verdict,
+        lead=pictures,
+        sections=[*sections, parts.provenance_section(source)],
+    )
+
+
+def picture_words(found: Sequence[Described]) -> tuple[str, str]:
+    """Caption and alternative text of the picture of channels."""
+    from bayes_aero.report.figures.prior import needed  # matplotlib, which a check on a terminal does not need
+
+    listed = several(f"{channel} by {kinds.total()}" for channel, kinds in needed(found).items())
+    return (
+        "Effects that need each recorded channel. All need time and the channels that form CL, CD and Cm.",
+        f"Bars: effects that need each channel, by kind of effect. Needed are {listed}.",
+    )
+
+
+def _kind(kind: str, found: Sequence[Described]) -> Section:
+    rows = []
+    for e in found:
+        parameters = ", ".join(f"{p['name']} {bracket(plain_unit(p['unit']))}" for p in e["parameters"])
+        remarks = ["in the card's model"] if e["model"] else []
+        remarks += [] if e["proposed_by_diagnose"] else ["never proposed by diagnose"]
+        rows.append((e["name"], e["claim"], parameters, ", ".join(e["needs"]), ", ".join(remarks)))
+    head = ("effect", "claim", "parameters", "channels", "remark")
+    table = HtmlTable(f"Effects of {kind}", head, tuple(rows), words=(1, 2, 3, 4)).lean()
+    return section(kind, kind.capitalize(), lambda: [table, *(fold(e["name"], _explained(e)) for e in found)])
+
+
+def _explained(effect: Described) -> tuple[Any, ...]:
+    about = (("claim", effect["claim"]), *facts(effect), ("example", worked(effect)), ("source", effect["source"]))
+    head = ("parameter", "what it is", "absent at", "bounds", "prior", "least worth\nmodelling", "largest\nplausible")
+    rows = tuple(
+        (
+            f"{p['name']} {bracket(plain_unit(p['unit']))}",
+            p["description"],
+            shown(p["neutral"]),
+            f"{shown(p['bounds'][0])} to {shown(p['bounds'][1])}",
+            f"{p['prior']['text']} ({p['prior']['source']})",
+            *("–" if p[size] is None else shown(p[size]) for size in ("least_worth_modelling", "largest_plausible")),
+        )
+        for p in effect["parameters"]
+    )
+    return Facts(about), HtmlTable("Parameters, SI and radians", head, rows, words=(1, 4)) if rows else None

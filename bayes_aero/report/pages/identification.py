@@ -1,42 +1,271 @@
-"""The report of an identification: what stands on the page, in which order, in whose words."""
+"""What an identification shows: parameters by every method, validation, fit, chains, the next flight; its page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import SimulatedManoeuvre
 from bayes_aero.effect import Stage
-from bayes_aero.flight.card import Card
-from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import only_following
-from bayes_aero.inference.results import Identification, PosteriorStatus
+from bayes_aero.inference.results import interval_coverage
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.posterior import CORRELATIONS, pit_words
-from bayes_aero.report.figures.time_histories import Curve
-from bayes_aero.report.html import page as html
-from bayes_aero.report.html.page import Block, Fold, Gallery, Text, bullets, page_table, section
+from bayes_aero.report.html.page import Gallery, Report, fold, section
 from bayes_aero.report.html.plots import Line, Panel
-from bayes_aero.report.pages.captions import DEG, identification_alternatives, interval, stall_table
-from bayes_aero.report.pages.fly import over_measured, sources
-from bayes_aero.report.tables import run_tables
-from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
-from bayes_aero.report.tables.fly import given_table
-from bayes_aero.report.tables.run_tables import next_flight_table
-from bayes_aero.report.text.identification import disputed, verdict
-from bayes_aero.report.text.phrases import WORDS, several, unparted
+from bayes_aero.report.pages import estimates, parts
+from bayes_aero.report.pages.estimates import engine_label, noise_label, ordered, unit_of
+from bayes_aero.report.pages.parts import DEG, interval
+from bayes_aero.report.pages.trajectories import given_flights
+from bayes_aero.report.phrases import WORDS, from_to, plus_minus, sentence, several, unparted
+from bayes_aero.report.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns, table
+from bayes_aero.units import number
 
-CONTEXT = ("alpha", "elevator", "q", "airspeed", "altitude")
-SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
-LEGEND = (
-    html.MEASURED,
-    ("fitted (maximum likelihood)", COLOURS["mle"], "solid"),
-    ("error", COLOURS["mle"], "area"),
-)
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bayes_aero.diagnosis.result import SimulatedManoeuvre
+    from bayes_aero.inference.results import Identification
+
+ON_TERMINAL, ON_PAGE = 3, 4  # manoeuvres fitted alone that are shown one by one; of more only the scatter
+ML = "maximum likelihood\n± standard error"
+SAMPLED = "posterior\nmean ± standard deviation, 95 % interval"
+
+
+def parameter_table(run: Identification) -> Table:
+    """The model's parameters by every method, SI and radians. Methods not (yet) run have no columns."""
+    mle, (bound, corrected, *sampled) = run.mle, estimates.methods(run)
+    names = ordered(mle.names, mle.parameters)
+    truth = [] if run.truth is None else [run.truth.get(n) for n in names]
+    columns = [
+        *parameter_columns(names, [unit_of(run, n) for n in names]),
+        *([Column(truth, page="true", terminal="flown", form=".4g")] if truth else []),
+        Column(bound.of(names), ("estimate", "crb"), "Cramér–Rao", "ML (CRB)", group=ML),
+        Column(corrected.of(names), ("", "crb_corrected"), "corrected", "sd\ncorr.", terminal_form=_sd, group=ML),
+        *([Column(truth, "flown")] if truth else []),
+    ]
+    if run.noise == "white" and sampled:
+        columns.append(Column(sampled[0].of(names), ("white_mean", "white_sd")))
+    # a terminal has the first; sentences tell where others differ
+    posterior = next(iter(estimates.chosen_posteriors(run)), None)
+    for m in sampled:
+        white, label = m.key == "white", m.label.replace(", ", "\n", 1)
+        files = tuple(f"{m.key}_{part}" for part in ("mean", "sd", *(() if white else ("ci95_low", "ci95_high"))))
+        head = f"{engine_label(m.key)}\n{noise_label(run.noise)}" if m.key == posterior else None
+        column = Column(m.of(names), files, label, "sd\nwhite" if white else head, _interval, group=SAMPLED)
+        columns.append(replace(column, terminal_form=_sd if white else in_brackets))
+    if run.frequency is not None:
+        band = f"in band\n{estimates.band_text(run.frequency)}".replace(" to ", "-")
+        columns += estimates.frequency_columns(names, run.frequency, band)
+    columns += _alone_columns(run, names) if run.alone else []
+    known = " “True” are the values with which the records were simulated." if truth else ""
+    status = unparted(mle.status.name.lower().replace("_", " "), only_following(run.health))
+    return table("parameters", columns, dense=True, known=known, card=run.card.title, status=status)
+
+
+def _sd(e: Estimate) -> str:
+    return number(e.sd, 2)
+
+
+def _interval(e: Estimate) -> str:
+    return f"{plus_minus(e.centre, e.sd)}\n{from_to(e.low, e.high, e.sd)}"
+
+
+def _alone_columns(run: Identification, names: Sequence[str]) -> Iterator[Column]:
+    """Manoeuvres fitted alone: files have every fit, people those that are usable, or their scatter."""
+    few = len(run.alone) <= ON_TERMINAL
+    for (manoeuvre, fit), usable in zip(run.alone.items(), _usable(run, names), strict=True):
+        own = estimates.bounds(fit, fit.crb)
+        yield Column([own.get(n) for n in names], (f"{manoeuvre}_estimate", f"{manoeuvre}_crb"))
+        yield Column(usable, terminal=f"{manoeuvre}\nalone" if few else None)
+    found = [estimates.scatter(run, n) for n in names]
+    head = None if few else f"sd of {len(run.alone)}\nalone"
+    group = "manoeuvres fitted alone"
+    yield Column([s and s.sd for s in found], "between_manoeuvres_sd", "scatter\n(sd)", head, 2, group=group)
+    largest = [s and s.in_crb for s in found]
+    yield Column(largest, "largest_difference_in_crb", "largest\ndifference", form=".1f", group=group)
+
+
+def _usable(run: Identification, names: Sequence[str]) -> list[list[Estimate | None]]:
+    """By manoeuvre, its own estimates with Cramer-Rao bounds, where they are usable."""
+    own = [estimates.alone(run, n) for n in names]
+    return [[Estimate.normal(*one[m][:2]) if m in one else None for one in own] for m in run.alone]
+
+
+def alone_table(run: Identification) -> Table | None:
+    """Every parameter as each manoeuvre by itself has it; nothing where there is one, or too many for a page."""
+    if not 1 < len(run.alone) <= ON_PAGE:
+        return None
+    names = ordered(run.mle.names, run.mle.parameters)
+    own = [Column(values, page=m) for m, values in zip(run.alone, _usable(run, names), strict=True)]
+    columns = [*parameter_columns(names, [unit_of(run, n) for n in names]), *own]
+    return table("alone", columns)
+
+
+def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
+    """Scores of GPR and maximum likelihood on the same test points by split, fold (and all folds) and coefficient."""
+    rows: list[tuple[str, str, str, estimates.PooledScores]] = []
+    for split, folds in (run.gp.splits if run.gp else {}).items():
+        for name in run.observations.coefficients:
+            each = enumerate(folds, start=1) if each_fold and len(folds) > 1 else ()
+            of = [*((str(k), [fold]) for k, fold in each), ("all", folds)]
+            rows += [(split, k, name, estimates.PooledScores.of([fold[name] for fold in some])) for k, some in of]
+    column = columns_of([row[-1] for row in rows])
+    ml, gpr = {"group": "maximum likelihood"}, {"group": "GPR"}
+    columns = [
+        *(Column([row[k] for row in rows], name) for k, name in enumerate(("split", "fold", "coefficient"))),
+        Column([f"{split}, {name}" for split, _, name, _ in rows], page="split, coefficient"),
+        column(lambda p: p.points, "points", "points"),
+        column(lambda p: p.mle.r, page="r", form=".4f", **ml),
+        column(lambda p: p.mle.rmse, page="RMSE [-]", form=3, **ml),
+        column(lambda p: p.gp.r, "gpr_r", "r", form=".4f", **gpr),
+        column(lambda p: p.gp.rmse, "gpr_rmse", "RMSE [-]", form=3, **gpr),
+        column(lambda p: p.gp.theil, "gpr_theil"),
+        column(lambda p: p.gp.r2, "gpr_r2"),
+        column(lambda p: p.coverage.get(0.5), "gpr_coverage50"),
+        column(lambda p: p.coverage.get(0.9), "gpr_coverage90"),
+        column(lambda p: p.coverage.get(0.95), "gpr_coverage95", "inside 95 %", form=".0%", **gpr),
+        column(lambda p: p.k_hat, "gpr_k_hat", "Pareto k", form=2, **gpr),
+        column(lambda p: p.mle.r, "mle_r"),
+        column(lambda p: p.mle.rmse, "mle_rmse"),
+        column(lambda p: p.status, "gpr_status"),
+    ]
+    return table("validation", columns, index=3)
+
+
+def fit_table(run: Identification) -> Table:
+    """How well the fitted model follows each coefficient."""
+    column = columns_of([(name, run.mle.fit[name], run.mle.lag1[name]) for name in run.mle.fit])
+    columns = [
+        column(lambda r: r[0], page=""),
+        column(lambda r: r[1].r, page="correlation r", form=".4f"),
+        column(lambda r: r[1].r2, page="R²", form=".3f"),
+        column(lambda r: r[1].rmse, page="RMSE [-]", form=3),
+        column(lambda r: r[1].theil, page="Theil U", form=".3f"),
+        column(lambda r: r[2], page="lag-1 correlation\nof residuals", form="+.2f"),
+    ]
+    return table("fit", columns)
+
+
+def sampler_table(run: Identification, key: str) -> Table:
+    """R-hat and effective sample sizes of one posterior."""
+    posterior, divergent = run.posteriors[key], ""
+    column = columns_of([(n, posterior.marginals[n]) for n in ordered(posterior.names, run.mle.parameters)])
+    if key == "nuts":
+        stats = posterior.tree["sample_stats"].to_dataset() if "sample_stats" in posterior.tree.children else {}
+        count = int(np.sum(np.asarray(stats["diverging"]))) if "diverging" in stats else "not recorded"
+        divergent = f" Divergent transitions: {count}."
+    columns = [
+        column(lambda r: r[0], page=""),
+        column(lambda r: r[1].rhat, page="R-hat", form=".4f"),
+        column(lambda r: r[1].ess_bulk, page="bulk ESS", form=".0f"),
+        column(lambda r: r[1].ess_tail, page="tail ESS", form=".0f"),
+    ]
+    return table(
+        "sampler",
+        columns,
+        engine=engine_label(posterior.engine),
+        noise=noise_label(posterior.noise),
+        status=posterior.status.value,
+        divergent=divergent,
+    )
+
+
+def coverage_table(run: Identification) -> Table | None:
+    """Share of the measured samples inside the posterior's predictive intervals."""
+    rows = []
+    for key, posterior in estimates.chosen_posteriors(run).items():
+        if not {"posterior_predictive", "observed_data"} <= set(posterior.tree.children):
+            continue
+        predicted, observed = (posterior.tree[g].to_dataset() for g in ("posterior_predictive", "observed_data"))
+        for name in run.observations.coefficients:
+            draws = np.asarray(predicted[name], float).reshape(-1, observed[name].size)
+            shares = interval_coverage(np.asarray(observed[name], float), draws)
+            rows.append((f"{engine_label(key)}, {name}", *shares.values()))
+    if not rows:
+        return None
+    first, *columns = zip(*rows, strict=True)
+    heads = ("50 %", "90 %", "95 %")
+    columns = [Column(first, page=""), *(Column(c, page=h, form=".0%") for c, h in zip(columns, heads, strict=True))]
+    return table("coverage", columns)
+
+
+POOLED_ON_TERMINAL = 2  # manoeuvres that are shown one by one; a file has all
+PARTS = ("", "sd", "ci95_low", "ci95_high")
+
+
+def next_flight_table(run: Identification) -> Table:
+    """A row for each parameter, SI and radians; ValueError if the run has not pooled its manoeuvres."""
+    found = run.next_flight
+    if found is None:
+        raise ValueError("the manoeuvres of this run are not pooled")
+    names = ordered(found.aircraft, found.parameters)
+    few, one_by_one = (len(found.manoeuvres) <= most for most in (POOLED_ON_TERMINAL, ON_PAGE))
+    joint = estimates.bounds(run.mle, run.mle.crb_corrected)
+    name, unit, both = parameter_columns(names, [unit_of(run, n) for n in names])
+    columns = [
+        *(name, replace(unit, terminal=None), both),  # a terminal has the units above
+        Column([joint[n] for n in names], ("joint", "joint_sd"), "joint", "joint", terminal_form=in_brackets),
+    ]
+    for m in found.manoeuvres:
+        own = found.alone[m]
+        single = [Estimate.normal(*own[n]) if n in own else None for n in names]
+        for kind, values in (("alone", single), ("pooled", [Estimate.of(found.pooled[m][n]) for n in names])):
+            heads = kind if one_by_one else None, f"{m}\npooled" if few and kind == "pooled" else None
+            columns.append(Column(values, (f"{m}_{kind}", f"{m}_{kind}_sd"), *heads, group=m))
+    for key, head, numbers, form, on_terminal in (
+        ("aircraft", "aircraft", found.aircraft, "", in_brackets),
+        ("scatter", "scatter\n95 %", found.scatter, lambda e: f"{number(e.low, 2)} to {number(e.high, 2)}", ""),
+        ("next_flight", "next flight\n95 %", found.following, lambda e: from_to(e.low, e.high, e.sd), ""),
+    ):
+        files = tuple(f"{key}_{part}".rstrip("_") for part in PARTS)
+        values = [Estimate.of(numbers[n]) for n in names]
+        columns.append(Column(values, files, head, head.splitlines()[0], form, on_terminal))
+    narrowed = [found.narrowed[n] for n in names]
+    columns.append(Column(narrowed, "scatter_over_prior", "scatter\nover prior", "over\nprior", form=".2f"))
+    return table("next_flight", columns, dense=True)
+
+
+# --- Captions and alternative texts of the figures, which say in numbers what each shows.
+
+
+def identification_alternatives(run: Identification) -> dict[str, tuple[str, str]]:
+    """Caption and alternative text of every figure, by stem."""
+    mle, (crb, *others) = run.mle, estimates.methods(run)
+    wider = {m.label: list(m.over(crb).values()) for m in others}
+    ratios = "; ".join(f"{label} {np.median(times):.2f} times" for label, times in wider.items() if times)
+    both = zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)
+    strong = "; ".join(f"{a} and {b} {r:+.2f}" for a, b, r in mle.strong_correlations()[:5]) or "none beyond 0.9"
+    values: dict[str, Any] = {"count": f"{len(mle.names)} parameters", "fitted": several(mle.fit), "ratios": ratios}
+    values |= {"methods": len(others) + 1, "alone": len(run.alone), "strong": strong}
+    values["numbers"] = "; ".join(f"{n} {plus_minus(x, sd)}" for n, x, sd in both)
+    values["next"] = " ".join(estimates.next_flight_sentences(run)[:1])
+    stems = ["forest", "next_flight", "crb_vs_credible", "prior_posterior", "gp_prior_posterior", "pair"]
+    stems.append("fig2_gpr_fit")
+    if run.stall is not None:
+        s, X, alpha = run.stall, run.stall.X[1][1], DEG * np.asarray(run.observations.signals["alpha"])
+        peak = {"CL": interval(s.CL_max), "alpha": interval(s.alpha_max, DEG, 1)}
+        values["steady"] = sentence("steady_maximum" if s.seen else "steady_rises", **peak)
+        values |= {"low": alpha.min(), "high": alpha.max(), "begin": DEG * s.alpha[0], "end": DEG * s.alpha[-1]}
+        values |= {"first": X[0], "last": X[-1], "rate": s.rates[0] * DEG, "ends": s.X[0][1][-1]}
+        stems += ["stall", "separation"]
+    captions = WORDS["captions"]
+    words = {stem: (captions[stem].format(values["fitted"]), sentence(f"alt_{stem}", **values)) for stem in stems}
+    for engine, posterior in run.posteriors.items():
+        label, marginals = engine_label(engine), posterior.marginals.values()
+        sizes = {"rhat": max(m.rhat for m in marginals), "ess": min(m.ess_bulk for m in marginals)}
+        for kind in ("trace", "rank"):
+            alt = sentence("alt_chains", kind=kind.capitalize(), label=label, **sizes)
+            words[f"{kind}_{engine}"] = captions[kind].format(label), alt
+    for c, scores in mle.fit.items():
+        words[CORRELATIONS[c]] = captions["correlation"].format(c), sentence("alt_correlation", c=c, r=scores.r)
+    return words
+
+
+# --- The page: what stands on it, in which order.
 
 
 def identification_page(
@@ -44,25 +273,26 @@ def identification_page(
     source: Mapping[str, Any],
     figures: Mapping[str, Path],
     flown: Sequence[SimulatedManoeuvre] = (),
-) -> html.Report:
+) -> Report:
     """The page, with the drawn `figures` by stem and the simulated manoeuvres, where there are any."""
     gallery = Gallery(figures, identification_alternatives(run))
-    sentences = verdict(run)
-    doubtful = [p for p in run.posteriors.values() if p.status is not PosteriorStatus.CONVERGED]
+    findings = estimates.verdict(run)
+    doubtful = [p for p in run.posteriors.values() if p.status.name != "CONVERGED"]
     labels = [f"{engine_label(p.engine)} under {noise_label(p.noise)} noise: {p.status.value}." for p in doubtful]
-    return html.Report(
+    pooled = run.next_flight is not None
+    return Report(
         title=f"Identification: {run.card.title}",
         subtitle="Aerodynamic model identified from flight data, with uncertainty",
         verdict=headline(run),
-        lead=(
-            *(Text(label, "warning") for label in labels),
-            *(gallery("stall") or gallery("crb_vs_credible")),
-            *(() if figures else (html.NOT_DRAWN,)),
-        ),
-        doubts=html.doubts(run.health, run.consistency, corrects=False, failures=run.failures),
-        sections=html.filled(
-            section("findings", "Findings", lambda: (*bullets(sentences), html.terms("glossary"))),
-            html.records_section(run.records, run.card, run.health),
+        lead=[
+            parts.warnings(labels),
+            gallery("stall") or gallery("crb_vs_credible"),
+            "" if figures else WORDS["paragraphs"]["not_drawn"],
+        ],
+        doubts=parts.doubts(run.consistency, run.health, run.failures),
+        sections=[
+            section("findings", "Findings", lambda: (findings, parts.terms("glossary"))),
+            parts.records_section(run),
             section("fit", "Measured and fitted", lambda: _fit(run)),
             section("simulated", "Measured and simulated", lambda: given_flights(flown, run.card)),
             section("stall", "The stall", lambda: _stall(run, gallery)),
@@ -70,138 +300,105 @@ def identification_page(
             section(
                 "next-flight",
                 "The next flight",
-                lambda: (page_table(next_flight_table(run)), *gallery("next_flight")) if run.next_flight else (),
+                lambda: (next_flight_table(run), gallery("next_flight")) if pooled else None,
             ),
             section("prediction", "Prediction of hold-out data", lambda: _validation(run, gallery)),
             section("diagnostics", "Diagnostics", lambda: _diagnostics(run, gallery)),
-            section("provenance", "Provenance", lambda: html.provenance_blocks(source, run.notes, run.seconds)),
-        ),
+            parts.provenance_section(source, run.notes, run.seconds),
+        ],
     )
 
 
 def headline(run: Identification) -> str:
     """The run in one sentence."""
     mle = run.mle
-    if not usable(mle):
+    if not estimates.usable(mle):
         return f"No parameters can be given: {mle.status.value}."
     if following := only_following(run.health):
         return f"No derivative of this axis can be given: {unparted(mle.status.value, following)}."
     fit = several(f"{mle.fit[name].r:.3f} ({name})" for name in mle.fit)
     text = f"The model follows the measured coefficients with correlations of {fit}"
     if run.stall is not None and run.stall.seen:
-        s = run.stall
-        text += (
-            f"; the steady stall is at CLmax = {interval(s.CL_max, 1.0, 2)} and α = {interval(s.alpha_max, DEG, 1)} "
-            "deg (95 % intervals)"
-        )
+        peak = {"CL": interval(run.stall.CL_max, 1.0, 2), "alpha": interval(run.stall.alpha_max, DEG, 1)}
+        text += sentence("headline_stall", **peak)
     elif run.stall is not None:
         text += "; the records do not show the angle of the steady stall"
-    crb, corrected = (m.estimates for m in methods(run)[:2])
+    crb, corrected = (m.estimates for m in estimates.methods(run)[:2])
     ratios = [corrected[n].sd / crb[n].sd for n in crb if crb[n].sd > 0.0 and np.isfinite(corrected[n].sd)]
-    if ratios and np.median(ratios) > 1.25:
+    if ratios and np.median(ratios) > estimates.FACTOR:
         text += f"; Cramér–Rao bounds are about {np.median(ratios):.1f} times too small"
-    if unsure := disputed(run):
+    if unsure := estimates.disputed(run):
         text += f"; noise models disagree about {several(unsure)} beyond their intervals, so these are not reliable"
     return text + "."
 
 
-def _fit(run: Identification) -> list[Block]:
+def _fit(run: Identification) -> list[Any]:
     """Time histories of each manoeuvre, and the scores of the fit."""
     o = run.observations
     fitted, measured = run.fitted, np.asarray(o.measured)
-    shown, listed = html.first(o.names)
-    context = SIX_CONTEXT if Axis.LATERAL in run.model.axes else CONTEXT
-    plots: list[Block] = [*listed]
-    for number, name in enumerate(shown):
-        mine, panels = o.manoeuvre == number, []
+    shown, more = parts.first(o.names)
+    context = parts.SIX_CONTEXT if Axis.LATERAL in run.model.axes else parts.CONTEXT
+    colour, plots = COLOURS["mle"], []
+    legend = (parts.MEASURED, ("fitted (maximum likelihood)", colour, "solid"), ("error", colour, "area"))
+    for order, name in enumerate(shown):
+        mine, panels = o.manoeuvre == order, []
         for i, coefficient in enumerate(o.coefficients):
             line = Line("measured", COLOURS["measured"], measured[mine, i], width=1.0)
-            both = (line, Line("fitted", COLOURS["mle"], fitted[mine, i]))
+            both = (line, Line("fitted", colour, fitted[mine, i]))
             panels.append(Panel(coefficient, "1", both, shade=((0, 1),)))
-        panels += html.context_panels({c: np.asarray(o.signals[c])[mine] for c in context if c in o.signals})
+        panels += parts.context_panels({c: np.asarray(o.signals[c])[mine] for c in context if c in o.signals})
         what = "Measured and fitted coefficients, and the manoeuvre flown,"
-        plots.append(html.histories(name, f"time-fit-{number}", o.time[mine], panels, LEGEND, what))
-    text = WORDS["paragraphs"]["fit"]
-    return [Text(text), *plots, page_table(run_tables.fit_table(run))]
+        plots.append(parts.histories(name, f"time-fit-{order}", o.time[mine], panels, legend, what))
+    return [WORDS["paragraphs"]["fit"], more, plots, fit_table(run)]
 
 
-def _stall(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
+def _stall(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
     if all(effect.stage is not Stage.SEPARATION for effect in run.model.effects):
-        return (Text("The card's model has no separation of the flow, and so no stall."),)
+        return ("The card's model has no separation of the flow, and so no stall.",)
     if run.stall is None:
         why = "no posterior was sampled or the fit did not reach an optimum"
-        return (Text(f"CLmax and the stall angle are not given: {why}."),)
-    label = f"{engine_label(next(iter(chosen_posteriors(run))))}, {noise_label(run.noise)} noise"
-    pictures = gallery("separation") if "stall" in gallery.paths else gallery("stall", "separation")
+        return (f"CLmax and the stall angle are not given: {why}.",)
+    label = f"{engine_label(next(iter(estimates.chosen_posteriors(run))))}, {noise_label(run.noise)} noise"
     return (
-        *stall_table({label: run.stall}, "Intervals are those of the posterior."),
-        Text("The figure at the top of the page shows lift, time spent at each angle of attack, and the drag polar."),
-        *pictures,
+        parts.stall_table({label: run.stall}, "Intervals are those of the posterior."),
+        "The figure at the top of the page shows lift, time spent at each angle of attack, and the drag polar.",
+        gallery("separation") if "stall" in gallery.paths else gallery("stall", "separation"),
     )
 
 
-def _parameters(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
-    single = run_tables.alone_table(run)
+def _parameters(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
     return (
-        page_table(run_tables.parameter_table(run)),
-        *(() if single is None else (Fold("Each manoeuvre fitted alone", (page_table(single),)),)),
-        html.symbols(run.model.parameters, ordered(run.mle.names, run.mle.parameters)),
-        *gallery("crb_vs_credible"),
-        *gallery("forest"),  # the high one last: printed, it needs its own sheet
+        parameter_table(run),
+        fold("Each manoeuvre fitted alone", alone_table(run)),
+        parts.symbols(run.model.parameters, ordered(run.mle.names, run.mle.parameters)),
+        gallery("crb_vs_credible", "forest"),  # the high one last: printed, it needs its own sheet
     )
 
 
-def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
+def _validation(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
     if run.gp is None:
-        return (Text("There are no hold-out data: this run trained no Gaussian process."),)
+        return ("There are no hold-out data: this run trained no Gaussian process.",)
     return (
-        page_table(run_tables.validation_table(run, each_fold=False)),
-        *gallery("gpr_fit", "fig2_gpr_fit"),
-        Fold("Measured against predicted", gallery(*CORRELATIONS.values())),
+        validation_table(run, each_fold=False),
+        gallery("gpr_fit", "fig2_gpr_fit"),
+        fold("Measured against predicted", gallery(*CORRELATIONS.values())),
     )
 
 
-def _diagnostics(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
-    mle, calibration = run.mle, run_tables.coverage_table(run)
-    calibrated = [] if calibration is None else [page_table(calibration)]
+def _diagnostics(run: Identification, gallery: Gallery) -> list[Any]:
+    mle, tables = run.mle, [sampler_table(run, key) for key in run.posteriors]
     bars = Gallery(gallery.paths, {"pit": pit_words(run)})("pit") if "pit" in gallery.paths else ()
-    chains: list[Block] = [page_table(run_tables.sampler_table(run, key)) for key in run.posteriors]
-    chains += gallery("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts") if chains else ()
+    drawn = gallery("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts") if tables else ()
     eigen = np.asarray(mle.eigenvalues)
-    rank = (
-        f"Maximum likelihood: {mle.status.value}, {mle.iterations} iterations. Information matrix of rank "
-        f"{int(np.sum(eigen > 1e-11 * eigen.max()))} of {len(eigen)}; smallest eigenvalue (scaled to unit diagonal) "
-        f"{eigen.min():.2g}. det R = {mle.det_R:.5g}."
-    )
-    strong = bullets(f"{a} and {b}: {r:+.3f}" for a, b, r in mle.strong_correlations())
-    folds: dict[str, Sequence[Block]] = {
-        "Calibration of the posterior's predictions": [*calibrated, *bars],
-        "Convergence of the samplers: R-hat, effective sample size, rank plots": chains,
-        "Prior and posterior": gallery("prior_posterior", "pair", "gp_prior_posterior"),
-        "Identifiability: information matrix, correlated parameters": [
-            Text(rank),
-            *(strong or (Text("No two parameters are correlated beyond 0.9."),)),
-        ],
-    }
-    return tuple(Fold(title, tuple(blocks)) for title, blocks in folds.items() if blocks)
-
-
-# --- The identified model simulated with the recorded inputs: errors of its trajectories, and time histories.
-
-
-def given_flights(paths: Sequence[SimulatedManoeuvre], card: Card) -> tuple[Block, ...]:
-    """A table of errors, then each manoeuvre with the error shaded; nothing if nothing was simulated."""
-    if not paths:
-        return ()
-    units = {name: STANDARD_CHANNELS[name].unit for name in paths[0].errors}
-    _, listed = html.first([path.manoeuvre for path in paths])
-    text = WORDS["paragraphs"]["given_flights"]
-    if any(error.tolerance is not None for error in paths[0].errors.values()):
-        text += " The grey band is the tolerance about the measurement."
-    what, plots = "Measured outputs, and those simulated with the fitted coefficients,", []
-    for order, path in enumerate(paths[: html.MOST_SHOWN]):
-        curves = [Curve(path, "simulation", COLOURS["mle"], "solid")]
-        plots.append(over_measured(path.manoeuvre, f"time-given-{order}", curves, units, what))
-    left = [path.manoeuvre for path in paths if not path.inside]
-    lost = [Text(f"The simulation of {name} leaves the flight envelope.", "warning") for name in left]
-    return (Text(text), *lost, *listed, *plots, page_table(given_table(paths)), *sources(card, units))
+    rank = {"rank": int(np.sum(eigen > 1e-11 * eigen.max())), "of": len(eigen), "least": eigen.min()}
+    strong = [f"{a} and {b}: {r:+.3f}" for a, b, r in mle.strong_correlations()]
+    return [
+        fold("Calibration of the posterior's predictions", coverage_table(run), bars),
+        fold("Convergence of the samplers: R-hat, effective sample size, rank plots", tables, drawn),
+        fold("Prior and posterior", gallery("prior_posterior", "pair", "gp_prior_posterior")),
+        fold(
+            "Identifiability: information matrix, correlated parameters",
+            sentence("information", mle=mle, **rank),
+            strong or "No two parameters are correlated beyond 0.9.",
+        ),
+    ]

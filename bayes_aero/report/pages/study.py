@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -14,11 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html import page as html
-from bayes_aero.report.html.page import Block, Report, Text, bullets, page_table, section
+from bayes_aero.report.html.page import Block, Facts, Report, page_table, picture, section
+from bayes_aero.report.phrases import bracket, for_people, plain_unit, sentence, several
 from bayes_aero.report.style import NotDrawn, grid_of, housed, save
-from bayes_aero.report.tables.table import Table, columns_of
-from bayes_aero.report.text.phrases import WORDS, bracket, for_people, plain_unit, several
+from bayes_aero.report.table import columns_of, table
 from bayes_aero.units import number
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
@@ -36,6 +36,14 @@ class StudyContext:
     folder: Path
     facts: Mapping[str, str]
 
+    @property
+    def counted(self) -> tuple[Counter[str], Counter[str], int]:
+        """Units by verdict, units by the causes that they name, and how many are done."""
+        done = self.units[self.units["state"] == "done"]
+        pairs = set(zip(self.results["cause"], self.results["unit"], strict=True))
+        verdicts = Counter(v.replace("_", " ") for v in done["verdict"] if v)
+        return verdicts, Counter(cause for cause, _ in sorted(pairs) if cause), len(done)
+
 
 def study_page(context: StudyContext) -> Report:
     """The page of a study, from its tables."""
@@ -44,13 +52,13 @@ def study_page(context: StudyContext) -> Report:
         title=f"Study: {context.title}",
         subtitle=f"{len(context.units)} units, each a run of {context.task}",
         verdict=study_headline(context),
-        lead=_lead(found, context.folder),
-        sections=html.filled(
-            section("findings", "Findings over all units", lambda: bullets(_findings(context, found))),
+        lead=[_lead(found, context.folder)],
+        sections=[
+            section("findings", "Findings over all units", lambda: _findings(context, found)),
             section("across", "Scatter and intervals", lambda: _across(found)),
-            section("units", "The units", lambda: (_units(context.units, context.folder),)),
-            section("provenance", "Provenance", lambda: (html.Facts(tuple(context.facts.items())),)),
-        ),
+            section("units", "The units", lambda: _units(context.units, context.folder)),
+            section("provenance", "Provenance", lambda: Facts(tuple(context.facts.items()))),
+        ],
     )
 
 
@@ -58,32 +66,24 @@ def study_headline(context: StudyContext) -> str:
     """State, verdicts, the commonest cause, and the parameter that scatters farthest beyond its intervals."""
     states = Counter(context.units["state"])
     total, ended = len(context.units), states.pop("done", 0)
-    sentences = [f"All {total} units are done" if total > 1 else "The unit is done"]
+    parts = [f"All {total} units are done" if total > 1 else "The unit is done"]
     if ended != total:
         others = several(f"{n} {state}" for state, n in states.items())
-        sentences = [f"{ended} of {total} units are done ({others})"]
-    verdicts, causes, done = _counted(context)
+        parts = [f"{ended} of {total} units are done ({others})"]
+    verdicts, causes, done = context.counted
     if verdicts:
-        count = {verdict: "all" if len(verdicts) == 1 and done > 1 else n for verdict, n in verdicts.most_common()}
-        sentences.append(several(f"{n} {verdict.replace('_', ' ')}" for verdict, n in count.items()))
-    if causes:
-        cause, n = causes.most_common(1)[0]
-        sentences.append(f"{cause} is named in {n} of {done}")
+        every = len(verdicts) == 1 and done > 1
+        parts.append(several(f"{'all' if every else n} {verdict}" for verdict, n in verdicts.most_common()))
+    for cause, n in causes.most_common(1):
+        parts.append(f"{cause} is named in {n} of {done}")
     compared, beyond = _beyond(estimates(context.units, context.results))
     if beyond:
         worst = max(beyond, key=lambda e: e.scatter / e.claimed)
         ratio = f"{worst.scatter / worst.claimed:.1f} times its intervals"
-        sentences.append(f"{worst.label} differs between units by {ratio}")
+        parts.append(f"{worst.label} differs between units by {ratio}")
     elif compared:
-        sentences.append(f"no parameter differs between units by more than {MIN_RATIO:g} times its intervals")
-    return f"{'; '.join(sentences)}."
-
-
-def _counted(context: StudyContext) -> tuple[Counter[str], Counter[str], int]:
-    """Units by verdict, units by the causes that they name, and how many are done."""
-    done = context.units[context.units["state"] == "done"]
-    pairs = set(zip(context.results["cause"], context.results["unit"], strict=True))
-    return Counter(v for v in done["verdict"] if v), Counter(cause for cause, _ in sorted(pairs) if cause), len(done)
+        parts.append(f"no parameter differs between units by more than {MIN_RATIO:g} times its intervals")
+    return f"{'; '.join(parts)}."
 
 
 def _beyond(found: list[AcrossUnits]) -> tuple[list[AcrossUnits], list[AcrossUnits]]:
@@ -94,26 +94,20 @@ def _beyond(found: list[AcrossUnits]) -> tuple[list[AcrossUnits], list[AcrossUni
 
 def _findings(context: StudyContext, found: list[AcrossUnits]) -> list[str]:
     """Verdicts by number, causes by how many units name them, and parameters that scatter beyond their intervals."""
-    verdicts, causes, done = _counted(context)
-    sentences = []
+    verdicts, causes, done = context.counted
+    said = []
     if verdicts:
-        listed = several(f"{n} {verdict.replace('_', ' ')}" for verdict, n in verdicts.most_common())
-        sentences.append(f"Verdicts: {listed}.")
+        said.append(f"Verdicts: {several(f'{n} {verdict}' for verdict, n in verdicts.most_common())}.")
     if causes:
         listed = several(f"{cause} {n}" for cause, n in causes.most_common())
-        sentences.append(f"Causes, in how many units of {done}: {listed}.")
+        said.append(f"Causes, in how many units of {done}: {listed}.")
     doubtful = context.units[context.units["doubts"] != ""]
     if len(doubtful):
-        listed = "; ".join(f"{name}: {said}" for name, said in zip(doubtful["unit"], doubtful["doubts"], strict=True))
-        sentences.append(f"Records are in doubt in {len(doubtful)} of {done} units: {listed}.")
-    _, beyond = _beyond(found)
-    if beyond:
-        listed = several(f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in beyond)
-        sentences.append(
-            f"Estimates differ between units by more than their own standard errors: {listed}. Units that differ in "
-            "records, effects or cards may do so; the same record under other seeds should not."
-        )
-    return sentences
+        listed = "; ".join(f"{name}: {why}" for name, why in zip(doubtful["unit"], doubtful["doubts"], strict=True))
+        said.append(f"Records are in doubt in {len(doubtful)} of {done} units: {listed}.")
+    if beyond := [f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in _beyond(found)[1]]:
+        said.append(sentence("units_differ", estimates=beyond))
+    return said
 
 
 def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
@@ -128,29 +122,25 @@ def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
     more = f" The first {MOST_PANELS} of {len(groups)} parameters." if len(groups) > MOST_PANELS else ""
     bars = "with its 95 % interval" if max(e.unit.max() for e in found) <= MOST_BARS else "without its interval"
     caption = f"Every unit's estimate {bars}, by the unit's number in the table below.{more}"
-    return (html.picture(path, caption, f"Estimates of all units. Means: {means}."),)
+    return (picture(path, caption, f"Estimates of all units. Means: {means}."),)
 
 
-def _across(found: list[AcrossUnits]) -> tuple[Block, ...]:
+def _across(found: list[AcrossUnits]) -> tuple[Any, ...]:
     if not found:
         return ()
     column = columns_of(found[:MOST_ROWS])
-    table = Table(
-        [
-            column(lambda e: e.label, page="parameter"),
-            column(lambda e: e.method, page="method", words=True),
-            column(lambda e: len(e.value), page="units"),
-            column(lambda e: float(np.mean(e.value)), page="mean", form=4),
-            column(lambda e: plain_unit(e.si), page="unit", words=True),
-            column(lambda e: e.scatter, page="scatter", form=2),
-            column(lambda e: e.claimed, page="standard error", form=2),
-            column(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
-        ],
-        "Estimates of all units by parameter and method",
-        WORDS["notes"]["across_units"],
-    )
+    columns = [
+        column(lambda e: e.label, page="parameter"),
+        column(lambda e: e.method, page="method", words=True),
+        column(lambda e: len(e.value), page="units"),
+        column(lambda e: float(np.mean(e.value)), page="mean", form=4),
+        column(lambda e: plain_unit(e.si), page="unit", words=True),
+        column(lambda e: e.scatter, page="scatter", form=2),
+        column(lambda e: e.claimed, page="standard error", form=2),
+        column(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
+    ]
     left = len(found) - MOST_ROWS
-    return (page_table(table), *((Text(f"{left} more are in summary.csv."),) if left > 0 else ()))
+    return table("across_units", columns), f"{left} more are in summary.csv." if left > 0 else ""
 
 
 def _units(units: pd.DataFrame, folder: Path) -> Block:
@@ -158,21 +148,17 @@ def _units(units: pd.DataFrame, folder: Path) -> Block:
     shown = units.assign(number=np.arange(1, len(units) + 1))
     shown = shown.sort_values("state", key=lambda s: s == "done", kind="stable").head(MOST_UNITS)
     column, left = columns_of(shown.to_dict("records")), len(units) - len(shown)
-    table = Table(
-        [
-            column(lambda row: row["unit"], page="unit"),
-            column(lambda row: row["number"], page="number"),
-            column(lambda row: row["state"], page="state", words=True),
-            column(lambda row: row["seconds"], page="time", form=lambda seconds: f"{seconds:.0f} s"),
-            column(lambda row: row["verdict"] or None, page="verdict", words=True),
-            column(lambda row: row["error"] or None, page="error", words=True),
-        ],
-        "Units of the study",
-        f"{left} more are in units.csv." if left else "",
-    )
+    columns = [
+        column(lambda row: row["unit"], page="unit"),
+        column(lambda row: row["number"], page="number"),
+        column(lambda row: row["state"], page="state", words=True),
+        column(lambda row: row["seconds"], page="time", form=lambda seconds: f"{seconds:.0f} s"),
+        *(column(lambda row, key=key: row[key] or None, page=key, words=True) for key in ("verdict", "error")),
+    ]
+    more = f"{left} more are in units.csv." if left else ""
     paths = [(name, folder / "units" / name / "report.html") for name in map(str, shown["unit"])]
     links = tuple(f"units/{quote(name)}/report.html" if path.is_file() else "" for name, path in paths)
-    return replace(page_table(table), links=links)
+    return replace(page_table(table("units", columns, left=more)), links=links)
 
 
 # --- Estimates of the units side by side: do their intervals agree with their scatter?

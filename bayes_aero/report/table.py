@@ -14,8 +14,7 @@ from rich.box import SIMPLE_HEAD
 from rich.text import Text
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.flight.reading import RecordReport
-from bayes_aero.report.text.phrases import bracket, concise, plain_unit, plus_minus
+from bayes_aero.report.phrases import WORDS, bracket, concise, filled, plain_unit, plus_minus
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -155,6 +154,15 @@ class Table:
         return shown
 
 
+def table(key: str, columns: Sequence[Column], /, **values: Any) -> Table:
+    """A `Table` whose titles and notes `words.toml` has, with their values; `index`, `below`, `dense` are its own."""
+    own = {name: values[name] for name in ("index", "below", "dense") if name in values}
+    texts: dict[str, Any] = {name: filled(text, **values) for name, text in WORDS["tables"][key].items()}
+    if both := texts.pop("both", ""):
+        texts |= {"note": both, "terminal_note": both}
+    return Table(columns, **own, **texts)
+
+
 def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = plus_minus, between: str = "; ") -> str:
     """A value as people read it, a dash where there is none; several of them with `between` between them."""
     if isinstance(value, list):
@@ -196,31 +204,3 @@ def parameter_columns(names: Sequence[str], units: Sequence[str]) -> list[Column
 def write_csv(table: Table, path: Path) -> Path:
     """Write a table, whole or not at all; floats keep every digit."""
     return write_whole(table.frame().to_csv(lineterminator="\n"), path)
-
-
-# --- The channels of a record: where each is taken from, its unit and range.
-
-
-def channel_table(record: RecordReport) -> Table:
-    """A row for each channel; values are in the file's own units."""
-    column = columns_of(record.channels)
-    marks = ((["sign reversed"] * (c.sign < 0), ["does not move"] * (not c.moves)) for c in record.channels)
-    remarks = [", ".join([*turned, *still]) for turned, still in marks]
-    unit, values = "unit → inside", "range in the file"
-    return Table(
-        [
-            column(lambda c: c.name, page="channel", terminal="channel"),
-            column(lambda c: c.place, page="taken from", terminal="taken from", words=True),
-            column(lambda c: c.unit if c.unit == c.si else f"{c.unit} → {c.si}", page=unit, terminal=unit),
-            column(lambda c: f"{c.lowest:.5g} to {c.highest:.5g}", page=values, terminal=values),
-            Column(remarks, page="remark", terminal="", words=True),
-        ],
-        f"{sampling(record)}; {record.gaps} gaps, {record.uneven} uneven steps",
-        terminal_title="",
-    )
-
-
-def sampling(record: RecordReport) -> str:
-    """Samples, duration and rate."""
-    rate = f"{1.0 / record.dt:.4g} Hz" if record.dt > 0.0 else "no sampling rate"
-    return f"{record.samples} samples, {record.duration:.6g} s, {rate}"

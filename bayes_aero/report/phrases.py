@@ -1,11 +1,12 @@
-"""Numbers with the units that people read, lists in words, and counts of what cannot be tested."""
+"""Numbers with the units that people read, lists in words, and the table of sentences (`words.toml`)."""
 
 from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from importlib.resources import files
+from string import Formatter
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.units import number
 
 WORDS: dict[str, Any] = tomllib.loads(files("bayes_aero.report").joinpath("words.toml").read_text("utf-8"))
-"""The fixed sentences of reports."""
+"""What reports say: captions, terms, notes, and the `sentences` that values are put into."""
 
 GREEK = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h", "beta": "β", "phi": "φ", "psi": "ψ"}
 
@@ -41,6 +42,32 @@ KINDS = {
     Untestable.LACKING: "because the model lacks a parameter ({})",
 }
 """The words under which effects that are not testable are counted, by the reason."""
+
+
+class _Filled(Formatter):
+    """Reads lists out, follows their length, and writes values with standard errors; see `sentence`."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if format_spec.startswith("±"):
+            return size_text(value[0], value[1], format_spec[1:] or "1")
+        listed = isinstance(value, Collection) and not isinstance(value, str)
+        if "|" in format_spec:
+            return format_spec.split("|")[(len(value) if listed else value) != 1]
+        return several(value) if listed else super().format_field(value, format_spec)
+
+
+def filled(text: str, /, **values: Any) -> str:
+    """A text with its values.
+
+    `{x}` reads a list out; `{x:is|are}` is the first where `x` is, or has, one; `{x:±rad}` writes a value and its
+    standard error (SI) in the unit that people read.
+    """
+    return _Filled().vformat(text, (), values)
+
+
+def sentence(key: str, /, **values: Any) -> str:
+    """The sentence `key` of `words.toml` with its values."""
+    return filled(WORDS["sentences"][key], **values)
 
 
 def for_people(unit: str) -> tuple[str, float]:
@@ -117,10 +144,12 @@ def from_to(low: float, high: float, sd: float) -> str:
     return f"{low:z.{places}f} to {high:z.{places}f}"
 
 
-def several(items: Iterable[str]) -> str:
-    """Items as they are read out: a, b and c."""
+def several(items: Iterable[str], most: int | None = None) -> str:
+    """Items as they are read out, a, b and c; if there are more than `most`, how many more."""
     given = list(items)
-    return " and ".join([", ".join(given[:-1]), given[-1]]) if len(given) > 1 else "".join(given)
+    shown = given[:most]
+    more = f" and {len(given) - len(shown)} more" if len(given) > len(shown) else ""
+    return (" and ".join([", ".join(shown[:-1]), shown[-1]]) if len(shown) > 1 else "".join(shown)) + more
 
 
 def unparted(status: str, following: Sequence[str]) -> str:
@@ -158,5 +187,4 @@ def not_testable_sentences(reasons: Mapping[str, str]) -> list[str]:
         count, named = kinds.get(kind, (0, set()))
         kinds[kind] = count + 1, named | set(things)
     listed = [f"{n} {kind.format(several(sorted(named)))}" for kind, (n, named) in kinds.items()]
-    are = "effects are" if len(reasons) > 1 else "effect is"
-    return [f"{len(reasons)} {are} not testable on this record: {'; '.join(listed)}."]
+    return [sentence("not_testable", n=len(reasons), listed="; ".join(listed))]

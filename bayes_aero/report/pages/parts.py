@@ -1,0 +1,369 @@
+"""What pages share: whether the sensors agree, records at a glance, time histories, the stall, provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayes_aero.flight.card import Card, channel_units
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.health import Agreement, Consistency, HealthFinding, OpenError
+from bayes_aero.physics.aircraft import Axis
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.html.page import Facts, Fold, HtmlTable, Plot, Section, Text, fold, section
+from bayes_aero.report.html.plots import LOW, MOST, TIME, Line, Over, Panel, linked
+from bayes_aero.report.phrases import (
+    WORDS,
+    bracket,
+    channel_axis,
+    for_people,
+    plain_unit,
+    sentence,
+    several,
+    size_text,
+    symbol,
+    unit_behind,
+)
+from bayes_aero.units import instant, number
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bayes_aero.flight.record import FlightRecord
+    from bayes_aero.inference.results import Interval, Stall
+    from bayes_aero.parameter import Parameter
+
+DEG = 180.0 / np.pi
+
+# --- Agreement of the sensors: printed first, and first on a page.
+
+SHOWN = 4  # departures in the sentence
+
+
+def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
+    """The answer, then its limits. `corrects`: whether the command corrects known sensor errors by itself."""
+    if found.agreement is Agreement.NOT_CHECKED:
+        return [sentence("not_checked", why=found.why_not)]
+    sentences = [_answer(found, corrects=corrects)]
+    if found.unchecked:  # channels that could not be checked, and channels that were taken as zero
+        sentences.append(sentence("unchecked", channels=found.unchecked))
+    if assumed := dict.fromkeys(name for check in found.recorded for name in check.assumed):
+        sentences.append(sentence("taken_as_zero", channels=assumed))
+    return [*sentences, *open_sentences(found)]
+
+
+def _answer(found: Consistency, *, corrects: bool) -> str:
+    if found.agreement is Agreement.AGREE:
+        return sentence("agree")
+    departures, listed = sorted(found.departures, key=lambda d: -d.rms / d.permitted), []
+    for d in departures[:SHOWN]:  # the largest first
+        standard = STANDARD_CHANNELS[d.channel]
+        unit, factor = for_people(standard.unit)
+        span = {"begin": instant(d.begin), "end": instant(d.end), "follows": WORDS["follows"][d.channel], "unit": unit}
+        sizes = {"rms": factor * d.rms, "permitted": factor * d.permitted, "description": standard.description}
+        listed.append(sentence("departure", d=d, **span, **sizes))
+    listed += [f"and {len(departures) - SHOWN} more"] if len(departures) > SHOWN else []
+    where, errors = "; ".join(listed), []
+    for name, error in (found.errors or {}).items():
+        joint = joint_text(error.get("joint", {}))
+        together = f"; estimated together with {joint}: neither holds alone" if joint else ""
+        errors.append(f"{name} ({error_sizes(error)}{together})")
+    if found.agreement is Agreement.EXPLAINED:
+        mend = "it is corrected here" if corrects else "it is not corrected here; diagnose corrects it"
+        return sentence("disagree_explained", mend=mend, errors=errors, where=where)
+    beside = f", after correction for {several(errors)}" if errors else ""
+    unsought = f" Known errors could not be tested: {found.unsought}." if found.unsought else ""
+    return sentence("disagree_unexplained", where=where, beside=beside, unsought=unsought)
+
+
+def joint_text(joint: Mapping[str, float]) -> str:
+    """Other errors with the correlation of the estimates."""
+    return several(f"{other} (correlation {correlation:+.2f})" for other, correlation in joint.items())
+
+
+def open_sentences(found: Consistency) -> list[str]:
+    """Sensor errors that the flight path does not determine: fitted but not confirmed, then not testable."""
+    sentences, sizes = [], {e.name: f"{e.name} {size_text(e.mean, e.sd, e.unit)}" for e in found.open}
+    if asked := [e for e in found.open if e.asked]:
+        imitated = [sentence("imitated", e=e, among=_among(e)) if e.imitators else "" for e in asked]
+        listed = "; ".join(f"{sizes[e.name]}{others}" for e, others in zip(asked, imitated, strict=True))
+        sentences.append(sentence("unconfirmed", listed=listed))
+    if either := [e for e in found.open if e.imitators and e.name in (found.errors or {})]:
+        listed = (f"{e.name} or {several(e.imitators)} (± {_among(e)} of {e.name} if all are possible)" for e in either)
+        sentences.append(sentence("same_effect", listed="; ".join(listed)))
+    if joint := [e for e in found.open if e.joint]:
+        listed = (f"{sizes[e.name]}, together with {joint_text(e.joint)}" for e in joint)
+        sentences.append(sentence("together", listed="; ".join(listed)))
+    if alike := [e.name for e in _not_told_apart(found)]:
+        sentences.append(sentence("alike", n=len(alike), names=alike))
+    return sentences
+
+
+def _not_told_apart(found: Consistency) -> list[OpenError]:
+    """Errors that are not testable, for others have the same effect; those that were found say so themselves."""
+    return [e for e in found.open if not e.asked and not e.joint and e.name not in (found.errors or {})]
+
+
+def _among(error: OpenError) -> str:
+    """The standard error of an error with its imitators possible, as people read it."""
+    unit, factor = for_people(error.unit)
+    return f"{factor * error.among:.2g}{unit_behind(unit)}"
+
+
+def error_sizes(error: Mapping[str, Any]) -> str:
+    """A sensor error's parameters with their standard errors."""
+    listed = error["parameters"].items()
+    return ", ".join(f"{name} {size_text(size['mean'], size['sd'], size['unit'])}" for name, size in listed)
+
+
+def open_list(found: Consistency | None) -> Fold | None:
+    """Each error that others imitate, which those are, and how well it is known with them possible."""
+    alike = [] if found is None else _not_told_apart(found)
+    rows = tuple((e.name, several(e.imitators), f"± {_among(e)}") for e in alike)
+    title = "Errors of sensors and winds that others imitate along this flight path"
+    head = ("error", "not distinguishable from", "standard error\nif those are possible")
+    table = HtmlTable(title, head, rows, words=(1,)) if rows else None
+    return fold(f"The {len(alike)} errors that are not testable along this flight path", table)
+
+
+def warnings(sentences: Iterable[str]) -> list[Text]:
+    """Sentences that are read first."""
+    return [Text(one, "warning") for one in sentences]
+
+
+def doubts(
+    agreement: Consistency | None,
+    health: Sequence[HealthFinding] = (),
+    failures: Sequence[str] = (),
+    *,
+    corrects: bool = False,
+) -> list[Text]:
+    """First part of a page: failed parts of the job, disagreement of the sensors, and faulty channels."""
+    answer = []
+    if agreement is not None and agreement.agreement is not Agreement.AGREE:
+        first, *_ = consistency_sentences(agreement, corrects=corrects)
+        answer = [Text(first, "warning" if agreement.disagrees else "plain")]
+    faults = (f"{finding.sentence}." for finding in health if finding.grave)
+    return [*warnings(failures), *answer, *warnings(faults)]
+
+
+# --- The records at a glance, and what the model means by its parameters.
+
+
+@dataclass(frozen=True)
+class PageContext:
+    """What a page shows beside a result: card, records, provenance, figures by stem, and what was noted of the run."""
+
+    card: Card
+    records: Sequence[FlightRecord]
+    source: Mapping[str, Any]
+    figures: Mapping[str, Path] = field(default_factory=dict)
+    notes: Sequence[str] = ()  # parts that were left out, with the reason
+    consistency: Consistency | None = None
+    failures: Sequence[str] = ()  # parts that failed unexpectedly
+    health: Sequence[HealthFinding] = ()  # faults of channels
+
+
+GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
+LATERAL_GLANCE = (
+    "airspeed", "alpha", "beta", "altitude", "elevator", "aileron", "aileron_right", "rudder", "p", "q", "r",
+)  # fmt: skip
+
+
+def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Any, ...]:
+    """Manoeuvres and recorded channels: the main ones are those of most flights, or of a linear card's rows."""
+    names = LATERAL_GLANCE if Axis.LATERAL in card.axes else GLANCE
+    units = {name: STANDARD_CHANNELS[name].unit for name in names}
+    if (rows := card.linear) is not None:
+        units = {name: channel_units(card)[name] for name in (*rows.states, *rows.outputs, *rows.inputs)}
+    shown = [name for name in units if any(record.has(name) for record in records)]
+    words = {n: n if symbol(n) == n else f"{n} {symbol(n)}" for n in shown}
+    words |= {"p": "roll rate p", "q": "pitch rate q", "r": "yaw rate r", "aileron_right": "right aileron"}
+    heads = [f"{words[name]}\n{bracket(for_people(units[name])[0])}" for name in shown]
+    seconds, lines = [float(record.time[-1] - record.time[0]) for record in records], []
+    for r, s in zip(records, seconds, strict=True):
+        ranges = (_range(r, name, units[name]) for name in shown)
+        lines.append((r.name, f"{s:.1f}", str(r.n), f"{1.0 / r.dt:.4g}", str(len(r.channels)), *ranges))
+    described = {}
+    for name in sorted({name for record in records for name in record.channels}):
+        channel = STANDARD_CHANNELS.get(name)
+        unit = "" if channel is None else plain_unit(for_people(channel.unit)[0])
+        described[name] = "a channel of the card's own" if channel is None else f"{channel.description} [{unit}]"
+    many = f"{len(records)} manoeuvres" if len(records) > 1 else "One manoeuvre"
+    return (
+        f"{many}, {sum(seconds):.0f} s in all. Aircraft and model: {card.title} (card “{card.name}”).",
+        HtmlTable(
+            "Records: smallest to largest value of the main channels",
+            ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads),
+            tuple(lines),
+        ),
+        fold("Channels and signs", Facts(tuple(described.items())), conventions(card)),
+    )
+
+
+def _range(record: FlightRecord, name: str, unit: str) -> str:
+    if not record.has(name):
+        return "–"
+    factor = for_people(unit)[1]
+    low, high = (factor * float(f(record[name])) for f in (np.min, np.max))
+    places = 0 if abs(high) >= 1000.0 else 1
+    return f"{low:.{places}f} to {high:.{places}f}"
+
+
+def records_section(context: PageContext | Any) -> Section:
+    """`at_a_glance`, and faults of channels that no result uses; the other faults are in `doubts`."""
+    minor = [f"{finding.sentence}." for finding in context.health if not finding.grave]
+    return section("records", "The records at a glance", lambda: (minor, at_a_glance(context.records, context.card)))
+
+
+def conventions(card: Card) -> str:
+    """Axes and signs of the card's model."""
+    said = WORDS["conventions"]
+    if card.linear is not None:
+        return said["linear"]
+    return f"{said['model']} {said['lateral']}" if Axis.LATERAL in card.axes else said["model"]
+
+
+def symbols(
+    parameters: Iterable[Parameter], names: Iterable[str], said: str = "", *, degrees: bool = False
+) -> Fold | None:
+    """Meaning of each parameter, and the conventions; `degrees` where the page shows angles in degrees."""
+    known = {p.name: p for p in parameters}
+    units = {name: for_people(p.unit)[0] if degrees else p.unit for name, p in known.items()}
+    facts = [(f"{n} [{plain_unit(units[n])}]", known[n].description) for n in names if n in known]
+    return fold("What the parameters mean", Facts(tuple(facts)), said or WORDS["conventions"]["model"])
+
+
+def not_testable_list(reasons: Mapping[str, str]) -> Fold | None:
+    """Every effect that is not testable, by reason, folded."""
+    listed: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        listed.setdefault(reason, []).append(name)
+    rows = tuple((reason, ", ".join(names)) for reason, names in listed.items())
+    table = HtmlTable("Effects that are not testable on this record", ("reason", "effects"), rows, words=(1,))
+    return fold(f"The {len(reasons)} effects that are not testable", table if rows else None)
+
+
+def terms(table: str) -> Fold | None:
+    """A glossary of `words.toml` behind a line that opens it."""
+    return fold("Terms used here", Facts(tuple(WORDS[table].items())))
+
+
+# --- Time histories.
+
+MEASURED = ("measured", COLOURS["measured"], "solid")  # in legends
+MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
+CONTEXT = ("alpha", "elevator", "q", "airspeed", "altitude")
+SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
+
+
+def first(names: Sequence[str]) -> tuple[Sequence[str], str]:
+    """The manoeuvres whose time histories are shown, and the sentence that says so where there are more."""
+    more = f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown." if len(names) > MOST_SHOWN else ""
+    return names[:MOST_SHOWN], more
+
+
+def context_panels(channels: Mapping[str, np.ndarray]) -> list[Panel]:
+    """Low panels of measured channels (SI), below those of outputs."""
+    panels = []
+    for name, values in channels.items():
+        shown, unit, factor = channel_axis(name)
+        panels.append(Panel(shown, unit, (Line("measured", COLOURS["measured"], factor * values),), height=LOW))
+    return panels
+
+
+def histories(
+    name: str,
+    key: str,
+    time: np.ndarray,
+    panels: Sequence[Panel],
+    legend: tuple[tuple[str, str, str], ...],
+    what: str,
+    over: Over = TIME,
+) -> Plot:
+    """One manoeuvre's panels; `what` begins the words that describe them."""
+    firsts = [(panel.label, panel.lines[0].values) for panel in panels]
+    spans = "; ".join(f"{x} from {number(float(np.nanmin(y)))} to {number(float(np.nanmax(y)))}" for x, y in firsts)
+    labels = several(label for label, _ in firsts)
+    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {labels}. Measured: {spans}."
+    caption = sentence("thinned", n=len(time)) if len(time) > MOST else ""
+    return Plot(linked(time - time[0], panels, key, over), legend, alt, caption, name)
+
+
+# --- The stall in numbers.
+
+MOST_PLACES = 6  # digits behind the point
+
+
+def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
+    """Median and 95 % interval, with more digits where these many show no width."""
+    low, middle, high = (factor * x for x in (value.low, value.median, value.high))
+    while places < MOST_PLACES and low < high and f"{low:.{places}f}" == f"{high:.{places}f}":
+        places += 1
+    return f"{middle:.{places}f} ({low:.{places}f} to {high:.{places}f})"
+
+
+def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[HtmlTable | Text, ...]:
+    """CLmax and its angle for each model, with a warning where the record does not show them."""
+    rows, limits = [], []
+    for label, s in stalls.items():
+        edge = f"{s.at_edge:.0%}" if s.at_edge in (0.0, 1.0) or s.at_edge >= 0.01 else "< 1%"
+        peak, angle = interval(s.CL_max), interval(s.alpha_max, DEG, 1)
+        if not s.seen:
+            peak = f"at least {peak}"
+            angle = "not shown by this record" if s.at_edge > 0.5 else f"at least {angle}"
+            limits.append(sentence("stall_unseen", label=f"{label[:1].upper()}{label[1:]}", share=s.at_edge))
+        rows.append((label, peak, angle, f"{s.alpha[0] * DEG:.1f} to {s.alpha[-1] * DEG:.1f}", edge))
+    reference = next(iter(stalls.values())).reference
+    shown = (("airspeed", "V", 1.0, "m/s"), ("mach", "Mach", 1.0, ""), ("elevator", "elevator", DEG, "deg"))
+    held = [f"{name} {number(reference[key] * x)} {unit}".strip() for key, name, x, unit in shown if key in reference]
+    table = HtmlTable(
+        "Steady stall: highest lift coefficient and its angle of attack, with 95 % intervals",
+        ("model", "CLmax [-]", "at α [deg]", "α flown [deg]", "maximum at\nthe edge"),
+        tuple(rows),
+        words=(1, 2),
+        note=sentence("stall_note", held=", ".join(held), what=what),
+    )
+    return (table, *warnings(limits))
+
+
+# --- Inputs, versions and the command, which reproduce the run.
+
+
+def provenance_blocks(
+    source: Mapping[str, Any], notes: Sequence[str] = (), seconds: Mapping[str, float] | None = None
+) -> tuple[Any, ...]:
+    """What reproduces the run, with notes before it."""
+    inputs = tuple((i["name"], i["source"], i["sha256"] or "–") for i in source.get("inputs", ()))
+    inputs += tuple((str(c["name"]), "card", str(c["sha256"])) for c in (source.get("card"),) if c)
+    inputs += tuple((f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ()))
+    facts = [
+        ("Command", str(source.get("command", "–"))),
+        *([("Seed", str(source["seed"]))] if "seed" in source else []),
+        *((str(k).replace("_", " "), str(v)) for k, v in dict(source.get("settings", {})).items()),
+        ("Written", str(source.get("written", "–"))),
+        *((str(k), str(v)) for k, v in dict(source.get("platform", {})).items()),
+    ]
+    versions = tuple((k, str(v)) for k, v in dict(source.get("versions", {})).items())
+    spent = several(f"{stage} {number(float(s), 2)} s" for stage, s in (seconds or {}).items())
+    return (
+        warnings(notes),
+        Facts(tuple(facts)),
+        HtmlTable("Inputs", ("name", "file", "SHA-256"), inputs, words=(1, 2)) if inputs else None,
+        fold("Versions", Facts(versions)),
+        f"Time spent: {spent}." if spent else None,
+    )
+
+
+def provenance_section(source: Mapping[str, Any], *shown: Any, folded: bool = False) -> Section:
+    """The last section of every page."""
+    title = "Inputs, versions and the command that repeat the run"
+
+    def make() -> Any:
+        made = provenance_blocks(source, *shown)
+        return fold(title, made) if folded else made
+
+    return section("provenance", "Provenance", make)

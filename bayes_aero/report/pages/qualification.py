@@ -1,0 +1,340 @@
+"""What a qualification shows: verdicts, tests, extrapolation, the page to sign; and test points that decide."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.html.page import Facts, HtmlTable, Plot, Points, Report, fold, section
+from bayes_aero.report.html.plots import LOW, Line, Panel
+from bayes_aero.report.pages import parts
+from bayes_aero.report.phrases import WORDS, amounts, for_people, sentence, several, symbol
+from bayes_aero.report.table import NONE, Column, Table, columns_of, table
+from bayes_aero.units import number
+
+if TYPE_CHECKING:
+    from bayes_aero.flight.card import Card
+    from bayes_aero.qualification import result
+    from bayes_aero.qualification.result import Qualification, Strip
+
+RANGES = {
+    "alpha": ("deg", parts.DEG, "{:.0f}"),
+    "airspeed": ("m/s", 1.0, "{:.0f}"),
+    "load_factor": ("g", 1.0, "{:.2f}"),
+    "altitude_loss": ("m", 1.0, "{:.0f}"),  # of which people read the greatest alone
+}
+"""Unit, factor to it and digits of the ranges that a test point needs."""
+
+
+def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
+    """Test points in the order of flying: what is flown, and the ranges that it needs."""
+    column = columns_of(points)
+    columns = [
+        Column(list(range(1, len(points) + 1)), "point", "point", "", form="d"),
+        column(lambda p: str(p["manoeuvre"]).replace("_", " "), "manoeuvre", "manoeuvre", "manoeuvre"),
+        column(lambda p: p["amplitude"], "amplitude", "amplitude\n[standard inputs]", "size\n[inputs]", form=".1f"),
+        column(lambda p: p["airspeed"], "airspeed", "from airspeed\n[m/s]", "from\n[m/s]", form=".0f"),
+        column(lambda p: p["altitude"], "altitude", "from altitude\n[m]", form=".0f"),
+        column(lambda p: p["seconds"], "seconds", "time\n[s]", "time\n[s]", form=".0f"),
+    ]
+    for name, (unit, factor, form) in RANGES.items():
+        found, shown = [p["excursion"].get(name) for p in points], []
+        for pair in found:
+            low, high = ("", "") if pair is None else (form.format(factor * x) for x in pair)
+            greatest = "" if pair is None else form.format(max(factor * pair[1], 0.0))
+            shown.append(greatest if name == "altitude_loss" or pair is None else f"{low} to {high}")
+        columns.append(Column(shown, "", f"{name.replace('_', ' ')}\n[{unit}]", form=str))
+        for k, end in enumerate(("least", "greatest")):
+            columns.append(Column([None if x is None else x[k] for x in found], f"{name}_{end}"))
+    return columns
+
+
+def points_table(asked: Mapping[str, Any]) -> Table:
+    """A row for each test point, in the order of flying, from `test_points` of diagnosis.json."""
+    points = asked["points"]
+    columns = point_columns(points)
+    for k, question in enumerate(asked["questions"]):
+        label, key = (between.join(question["effects"]) for between in (" or ", "_or_"))
+        values = [p["standard_errors"][k] for p in points]
+        columns.append(Column(values, f"standard_errors_{key}", label, label, ".1f", group="then apart"))
+    return table("points", columns, enough=max(q["enough"] for q in asked["questions"]))
+
+
+def _order_sentence(points: Sequence[Mapping[str, Any]]) -> str:
+    """What to fly, in the order of flying."""
+    flown = [sentence("test_point", p=p, manoeuvre=str(p["manoeuvre"]).replace("_", " ")) for p in points]
+    return f"Next test points, in this order: {several(flown)}."
+
+
+def points_sentences(asked: Mapping[str, Any]) -> tuple[str, ...]:
+    """What to fly next, for each question what it is expected to say, and the envelope."""
+    if not asked:
+        return ()
+    points = asked["points"]
+    sentences = [_order_sentence(points)] if points else []
+    for k, question in enumerate(asked["questions"]):
+        after = points[-1]["standard_errors"][k] if points else question["present"]
+        key = "decides" if after >= question["enough"] else "decides_not"
+        sentences.append(sentence(key, label=" or ".join(question["effects"]), q=question, after=after))
+    return tuple(sentences) if asked["stated"] else (*sentences, sentence("no_envelope"))
+
+
+# --- Flights that would decide undecided tolerances.
+
+MOST = 6  # tests that are named in a sentence
+
+
+def further_table(found: result.Further) -> Table:
+    """A row for each test point, in the order of flying."""
+    columns = point_columns([asdict(p) for p in found.points])
+    decidable = [(k, test) for k, test in enumerate(found.tests) if test.decidable]
+    for k, test in decidable:
+        head = _label(test).replace(" of ", "\n", 1)
+        columns.append(Column([p.expected[k] for p in found.points], page=head, form=".2f", group="then probability"))
+    return table("further", columns)
+
+
+def further_sentences(found: result.Further | None) -> tuple[str, ...]:
+    """What to fly, and which tests no flight decides."""
+    if found is None:
+        return ()
+    if found.why_not:
+        return (f"No test points for the undecided tolerances: {found.why_not}.",)
+    said = []
+    undecidable = [_label(t) for t in found.tests if not t.decidable]
+    if found.points:
+        said.append(_order_sentence([asdict(p) for p in found.points]))
+        both = zip(found.tests, found.points[-1].expected, strict=True)
+        chances = [f"{_label(t)} {x:.2f} (now {t.present:.2f})" for t, x in both if t.decidable]
+        said.append(f"Expected probabilities to pass with these points: {several(chances[:MOST])}.")
+    elif len(undecidable) < len(found.tests):
+        said.append(sentence("no_point_helps"))
+    return (*said, *([sentence("structure_open", tests=several(undecidable, MOST))] if undecidable else []))
+
+
+def _label(test: result.OpenTolerance) -> str:
+    """Output, manoeuvre, and whether it is flown on the next flight."""
+    ahead = " on the next flight" if test.kind.name == "NEXT" else ""
+    return f"{symbol(test.output)} of {test.manoeuvre}{ahead}"
+
+
+# --- A verdict for each tolerance, every test, and where the flown region is left.
+
+SHOWN = {"AGAIN": "fitted, flown again", "TEST": "not fitted", "NEXT": "next flight"}
+NEGLIGIBLE = 1e-3  # of an excess, in the units of people
+COUNTED = ("parameters", "structure", "gusts")
+
+
+def band(output: str, tolerance: float) -> str:
+    """An output with its band in the units of people."""
+    unit, factor = for_people(STANDARD_CHANNELS[output].unit)
+    return f"{symbol(output)} ± {number(factor * tolerance)} {unit}"
+
+
+def chance_text(chance: result.Chance | None) -> str:
+    """0.873 ± 0.017, and what Monte Carlo cannot resolve as a bound."""
+    if chance is None:
+        return NONE
+    if chance.value in (0.0, 1.0):
+        return f"{'<' if chance.value == 0.0 else '>'} {abs(chance.value - 3.0 * chance.error):.3f}"
+    return f"{chance.value:z.3f} ± {chance.error:.3f}"
+
+
+def verdict_table(found: Qualification) -> Table:
+    """A row for each tolerance."""
+    column = columns_of(list(found.tolerances))
+
+    def least(kind: str, page: str, terminal: str) -> Column:
+        of = {output: [t.chance for t in found.of(output) if t.kind.name == kind] for output in found.tolerances}
+        weakest = {
+            output: min(chances, key=lambda chance: chance.value, default=None) for output, chances in of.items()
+        }
+        return column(lambda output: chance_text(weakest[output]), "", page, terminal)
+
+    def records(output: str) -> str:
+        beside = [t.recorded for t in found.of(output) if t.recorded is not None]
+        return f"{sum(one.passed for one in beside)} of {len(beside)}"
+
+    new = any(test.kind.name == "TEST" for test in found.tests)
+    columns = [
+        column(lambda n: band(n, found.tolerances[n][0]), "", "tolerance", "tolerance"),
+        column(lambda n: found.verdict(n).value, "", "verdict", "verdict"),
+        column(records, "", "records\ninside", "records inside"),
+        least("AGAIN", "fitted,\nflown again", "again"),
+        *([least("TEST", "not fitted", "not fitted")] if new else []),
+        least("NEXT", "next flight", "next flight"),
+    ]
+    return table("verdicts", columns)
+
+
+def test_table(found: Qualification) -> Table:
+    """A row for each manoeuvre and output."""
+    rows = list(found.tests)
+    column = columns_of(rows)
+    away = {one.manoeuvre for one in found.outside if one.motion in ("recorded", "simulated")}
+    largest = [t.recorded and "".join(amounts(STANDARD_CHANNELS[t.output].unit, t.recorded.largest)) for t in rows]
+    record = "record beside simulation"
+    columns = [
+        column(lambda t: t.kind.value, "kind"),
+        column(lambda t: t.manoeuvre, "manoeuvre"),
+        column(lambda t: t.output, "output"),
+        column(lambda t: band(t.output, t.tolerance), "", "tolerance"),
+        column(lambda t: t.tolerance, "tolerance"),
+        Column(largest, "", "largest", group=record),
+        column(lambda t: t.recorded and t.recorded.largest, "record_largest"),
+        column(lambda t: t.recorded and t.recorded.within, "record_within", "time inside", form=".0%", group=record),
+        *[
+            column(lambda t, n=n: chance_text(t.chances.get(n)), "", n, group="probability, counting also")
+            for n in COUNTED
+        ],
+        *[column(lambda t, n=n: t.chances[n].value if n in t.chances else None, f"probability_{n}") for n in COUNTED],
+        column(lambda t: t.chance.value, "probability"),
+        column(lambda t: t.chance.error, "standard_error"),
+        column(lambda t: t.within, "expected_within", "time inside,\nexpected", form=".0%"),
+        column(lambda t: t.chance.verdict.value, "verdict", "verdict"),
+        column(lambda t: "yes" if t.manoeuvre in away else "no", "extrapolation", "extra-\npolation"),
+    ]
+    below = [f"{t.manoeuvre}, {SHOWN[t.kind.name]}" for t in rows]
+    return table("tests", columns, index=3, below=below)
+
+
+def outside_table(found: Qualification) -> Table:
+    """A row for each motion that leaves the flown region."""
+    column = columns_of(list(found.outside))
+    columns = [
+        column(lambda o: o.manoeuvre, "manoeuvre", "manoeuvre"),
+        column(lambda o: o.motion, "motion", "motion", words=True),
+        column(lambda o: o.share, "share", "samples\noutside", form=".0%"),
+        column(lambda o: o.distance, "distance", "farthest", form=".2f"),
+        column(lambda o: o.time, "time", "at, s", form=".1f"),
+        column(_excess, "", "from the nearest flown point", words=True),
+    ]
+    return table("region", columns, channels=found.channels)
+
+
+def _excess(one: result.Outside) -> str:
+    """By channel, in the units of people; what is less than a thousandth of a unit is left out."""
+    listed = []
+    for name, x in one.excess.items():
+        unit, factor = for_people(STANDARD_CHANNELS[name].unit)
+        if abs(factor * x) >= NEGLIGIBLE:
+            listed.append(f"{symbol(name)} {factor * x:+.2g} {'' if unit == '1' else unit}".strip())
+    return ", ".join(listed)
+
+
+def verdict_sentence(found: Qualification) -> str:
+    """The model's verdict, and the tolerances that decide it."""
+    by: dict[str, list[str]] = {"passes": [], "undecided": [], "fails": []}
+    for name, (half, _) in found.tolerances.items():
+        by[found.verdict(name).value].append(band(name, half))
+    listed = [f"{word.capitalize()}: {several(names)}" for word, names in by.items() if names]
+    return f"{sentence(f'model_{found.whole.value}')} {'. '.join(listed)}."
+
+
+def sentences(found: Qualification) -> tuple[str, ...]:
+    """Weakest tests, agreement of the probabilities with the records, and extrapolation."""
+    said = []
+    for kind, words in (("AGAIN", "fitted manoeuvre flown again"), ("TEST", "manoeuvre that was not fitted")):
+        if tests := [t for t in found.tests if t.kind.name == kind]:
+            expected = sum(t.chance.value for t in tests)
+            passed = sum(t.recorded is not None and t.recorded.passed for t in tests)
+            said.append(sentence("expected_passes", n=len(tests), words=words, expected=expected, passed=passed))
+    if following := [t for t in found.tests if t.kind.name == "NEXT"]:
+        least = min(following, key=lambda t: t.chance.value)
+        chance, half = chance_text(least.chance), band(least.output, least.tolerance)
+        said.append(sentence("weakest", band=half, manoeuvre=least.manoeuvre, chance=chance))
+    return (*said, *region_sentences(found))
+
+
+def region_sentences(found: Qualification) -> list[str]:
+    """Where manoeuvres leave the flown region."""
+    said = [sentence("outside_region", one=one, excess=_excess(one)) for one in found.outside]
+    said = said or [sentence("inside_region", channels=found.channels)]
+    return said + ([sentence("region_unjudged", channels=found.unjudged)] if found.unjudged else [])
+
+
+# --- The page that an evaluator signs or refuses.
+
+BLANK = "\u00a0" * 30
+FLIGHTS = "#56B4E9"
+
+
+def qualification_page(found: Qualification, card: Card, source: Mapping[str, Any]) -> Report:
+    """The page; its first screen is what is signed. `source` is its provenance."""
+    lines = (("☐ accepted", BLANK, BLANK, BLANK), ("☐ refused, because", BLANK, BLANK, BLANK))
+    signature = HtmlTable("Decision of the evaluator", ("", "name", "signature", "date"), lines, words=(1, 2, 3))
+    said, further = WORDS["qualification"], found.further
+    origins = tuple((name.capitalize(), text) for name, text in found.origins.items())
+    tolerances = tuple((name, origin) for name, (_, origin) in found.tolerances.items())
+    draws = f"{found.draws} flights are drawn for every test."
+    counted = (said["definition"], Facts(origins), [draws, *said["counting"]], list(found.notes))
+    read = ("Read:", said["read"], "Not read, or not of the rule:", Points(tuple(said["unread"])))
+    return Report(
+        title=f"Qualification: {card.title}",
+        subtitle="Probability that the simulation stays inside its tolerances",
+        verdict=verdict_sentence(found),
+        lead=[
+            parts.doubts(found.consistency, found.health),
+            verdict_table(found),
+            list(sentences(found)),
+            signature,
+        ],
+        sections=[
+            section(
+                "further",
+                "What would decide the rest",
+                lambda: (
+                    list(further_sentences(further)),
+                    further_table(further) if further and further.points else None,
+                ),
+            ),
+            section("strips", "Strips", lambda: _strips(found)),
+            section("tests", "Every test", lambda: test_table(found)),
+            section(
+                "region", "Extrapolation", lambda: outside_table(found) if found.outside else region_sentences(found)
+            ),
+            section("counted", "What is counted", lambda: counted),
+            section(
+                "rule",
+                "The rule, and what of it was read",
+                lambda: (read, fold("Origin of the tolerances", Facts(tolerances))),
+            ),
+            parts.provenance_section(source, folded=True),
+        ],
+    )
+
+
+def _strips(found: Qualification) -> list[Any]:
+    flown, following = ([s for s in found.strips if (s.kind.name == "NEXT") is ahead] for ahead in (False, True))
+    shown, more = flown[: parts.MOST_SHOWN], parts.first([s.manoeuvre for s in flown])[1]
+    hidden = [_strip(s, found, f"next-{k}") for k, s in enumerate(following[: parts.MOST_SHOWN])]
+    open_ones = [_strip(s, found, f"flown-{k}") for k, s in enumerate(shown)]
+    return [WORDS["paragraphs"]["strips"], more, open_ones, fold("The same manoeuvres on the next flight", hidden)]
+
+
+def _strip(strip: Strip, found: Qualification, key: str) -> Plot:
+    """A panel for each output with a tolerance."""
+    panels, record, colour = [], "record", COLOURS["measured"]
+    if strip.kind.name == "NEXT":
+        record, colour = "record of the manoeuvre", COLOURS["prior"]
+    for output, (tolerance, _) in found.tolerances.items():
+        unit, factor = for_people(STANDARD_CHANNELS[output].unit)
+        lines = (
+            Line("simulation", COLOURS["after"], factor * strip.simulated[output]),
+            Line(record, colour, factor * strip.measured[output], width=1.0),
+            Line("flights, 2.5 %", FLIGHTS, factor * strip.low[output], width=0.6),
+            Line("flights, 97.5 %", FLIGHTS, factor * strip.high[output], width=0.6),
+        )
+        panels.append(Panel(symbol(output), unit, lines, shade=((2, 3),), band=factor * tolerance, height=LOW))
+    legend = (
+        ("simulation", COLOURS["after"], "solid"),
+        (record, colour, "solid"),
+        ("95 % of flights", FLIGHTS, "area"),
+        ("tolerance", "#999999", "area"),
+    )
+    what = "Simulation with its tolerance, record and central 95 % of flights"
+    name = f"{strip.manoeuvre}, {SHOWN[strip.kind.name]}"
+    return parts.histories(name, f"time-{key}", strip.time, panels, legend, what)
