@@ -473,7 +473,7 @@ RULE = Rule(
 )
 
 
-class Options(NamedTuple):
+class FitOptions(NamedTuple):
     """Of a fit: a factor on all priors (0: none, nor of initial states), parameters without a prior, steps."""
 
     prior_weight: float = 1.0
@@ -491,11 +491,11 @@ def fit_output_error(
     stopped: Callable[[], bool] | None = None,
     **options: Any,
 ) -> OutputErrorResult:
-    """Fit all segments together from one start, with the `options` of `Options`."""
+    """Fit all segments together from one start, with the `options` of `FitOptions`."""
     # `departure`: corrections of the measured initial states to start from, SI. `held`: parameters that are not
     # estimated, and their values. `biases`: outputs with a constant error in each manoeuvre, and its prior, which are
     # further parameters (`bias_output_1`). `stopped`: called before each step; True ends the fit there, not converged.
-    prior_weight, without, max_iterations = Options(**options)
+    prior_weight, without, max_iterations = FitOptions(**options)
     if biases:
         modelled = len(flown.dynamics.free)
         flown = replace(flown, dynamics=biased_dynamics(flown.dynamics, flown.flights, biases))
