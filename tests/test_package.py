@@ -24,22 +24,23 @@ from typechecker import check_once
 
 import bayes_aero as ba
 import bayes_aero.effects as effects
-import bayes_aero.flight.readers as readers
 from bayes_aero.cli.fits import identify as command
 from bayes_aero.diagnosis import candidate_set
 from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
+from bayes_aero.flight import reading
 from bayes_aero.flight.health import Consistency
 from bayes_aero.flight.health.channel import channel_health
-from bayes_aero.flight.reading import READERS
+from bayes_aero.flight.readers.text import open_text
 from bayes_aero.inference.results import Posterior, PosteriorStatus
 from bayes_aero.jobs.check import RecordChecks
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.noise import DEFAULT, Colour
 from bayes_aero.physics.filters import smooth
 from bayes_aero.report.pages.estimates import ordered
+from bayes_aero.simulate.demo import simulate_stall
 
 PUBLIC = {
     "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",
@@ -170,12 +171,14 @@ def test_an_effect_is_one_entry_and_a_second_of_its_name_is_refused(tmp_path, mo
         effects._discover()
 
 
-def test_a_file_format_is_one_module(tmp_path, monkeypatch):
-    (tmp_path / "more_files.py").write_text("READS = {'.flights': lambda raw: raw.decode()}\n")
-    monkeypatch.setattr(readers, "__path__", [*readers.__path__, str(tmp_path)])
-    found = readers._discover()
-    assert found.keys() - READERS.keys() == {".flights"}
-    assert found[".flights"](b"of another recorder") == "of another recorder"
+def test_a_file_format_is_one_entry(tmp_path, monkeypatch, card):
+    monkeypatch.setitem(reading.READERS, ".flights", lambda raw: open_text(raw[::-1]))
+    record = simulate_stall(0, card=card)
+    ba.write_record(record, tmp_path / "stall.csv", card.channels)
+    (tmp_path / "stall.flights").write_bytes((tmp_path / "stall.csv").read_bytes()[::-1])
+    one, other = (reading.read_record(tmp_path / f"stall.{end}", card.channels) for end in ("csv", "flights"))
+    assert one.channels.keys() == other.channels.keys()
+    assert all(np.array_equal(one[name], other[name]) for name in one.channels)
 
 
 BELOW = ("diagnosis", "inference", "residuals", "dynamics", "model")

@@ -1,6 +1,6 @@
 """Screening against linear algebra and closed forms: regression, colour, gains, what is noise and what is no rival."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gusty_flight import TRUTH as GUSTY_TRUTH
 from gusty_flight import gusty_flight
-from parts import part
+from parts import part, with_candidates
 from scipy import stats
 from scipy.linalg import lstsq
 from scipy.signal import lfilter
@@ -28,10 +28,11 @@ from bayes_aero.diagnosis.screening import (
     ScreeningResult,
     autocorrelations_of,
     block_jackknife_covariance,
+    screen,
     white_noise,
 )
 from bayes_aero.diagnosis.selection import Extension, absorbed, worth
-from bayes_aero.diagnosis.selection_state import Products, RegressionFit, SelectionState, inverse
+from bayes_aero.diagnosis.selection_state import Products, RegressionFit, SelectionState, inverse, linearised, refitted
 from bayes_aero.diagnosis.unexplained import left_beside
 from bayes_aero.diagnosis.view import compared, profiles
 from bayes_aero.dynamics.flight import aircraft_dynamics
@@ -43,8 +44,10 @@ from bayes_aero.jobs.io.documents import AbsorbedPart, document_schema
 from bayes_aero.jobs.store import plain
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
+from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import FLIGHT, NAMES, Axis
 from bayes_aero.report.pages.findings import diagnosis_sentences
+from bayes_aero.residuals.base import Blockwise
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import OutputError
 from bayes_aero.simulate.demo import TRUTH
@@ -271,6 +274,48 @@ def test_sensitivities_of_two_stalls_are_those_of_central_differences(card, mode
         assert np.linalg.norm(S[:, :, i] - slope) <= 1e-3 * np.linalg.norm(slope) + floor * np.sqrt(slope.size), name
     columns = np.random.default_rng(4).permutation(len(theta))[:21]
     np.testing.assert_allclose(responses.linearise(theta, columns)[1], S[:, :, columns], rtol=1e-9, atol=1e-12)
+
+
+# A residual model of a newcomer: one class, and all that searches over residual models uses it
+
+
+@dataclass(frozen=True)
+class Straight(Blockwise):
+    """Outputs that are linear in all parameters."""
+
+    flights: Flights
+    model: Model
+    measured: np.ndarray  # (m, c)
+    per_parameter: np.ndarray  # (m, c, k)
+    stage = "straight"
+
+    @property
+    def outputs(self):
+        return NAMES
+
+    def evaluate(self, theta):
+        return self.measured - self.per_parameter @ theta, {"X": np.ones(self.flights.n)}
+
+    def slopes(self, theta, directions):
+        return self.evaluate(theta)[0], np.einsum("mck,dk->dmc", self.per_parameter, directions)
+
+
+def test_a_residual_model_is_one_class(card, model):
+    state = with_candidates(card, model, ["thrust_moment", "pitch_rate_lift", "alpha_squared_moment"])
+    rng, full = np.random.default_rng(0), state.full
+    sensitivities = state.responses.linearise(state.theta)[1][:, :3]
+    truth = state.theta.copy()
+    truth[full.own_columns("pitch_rate_lift")] = 8.0
+    measured = sensitivities @ truth
+    measured = measured + 0.05 * measured.std(axis=0) * rng.standard_normal(measured.shape)
+    straight = Straight(state.responses.flights, full.model, measured, sensitivities)
+    theta = np.where(truth == 8.0, 0.0, truth)
+    found = screen(there := linearised(full, straight, NAMES, theta), there.fit())
+    assert found.candidate_scores[0].effect == "pitch_rate_lift"
+    (size,) = refitted(linearised(full, straight, NAMES, theta, active=("pitch_rate_lift",)))[0].theta[
+        full.own_columns("pitch_rate_lift")
+    ]
+    assert size == pytest.approx(8.0, rel=0.1)
 
 
 # Sensitivities of simulated windows to where they begin, against differences
