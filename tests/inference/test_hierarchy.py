@@ -5,10 +5,10 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import halfnorm, multivariate_normal
+from scipy.stats import halfnorm, multivariate_normal, norm
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.mle import data_of, evaluate, fit_mle
 from bayes_aero.inference.pooled import (
     SCATTER,
     Hierarchy,
@@ -218,3 +218,60 @@ def test_a_singular_covariance_is_left_out_with_its_reason(unmoved):
 def test_manoeuvres_that_show_no_scatter_are_refused(count):
     with pytest.raises(InputError, match=f"and there (is|are) {count}; give other records"):
         check_manoeuvres(count)
+
+
+@pytest.fixture(scope="module")
+def break_angle(thinned, model):
+    """Two stalls with white noise, in which the break angle is the only free parameter."""
+    alone = with_free(model, "alpha_star")
+    rng, found = np.random.default_rng(4), []
+    for m, angle in enumerate((0.262, 0.284)):
+        o = thinned.only(m)
+        exact = flown_coefficients(model, o, TRUTH | {"alpha_star": angle})
+        noisy = exact + rng.standard_normal(exact.shape) * [0.1, 0.03, 0.02]
+        found.append(o.with_measured(jnp.asarray(noisy)))
+    return alone, found
+
+
+def aircraft_and_scatter(v, likelihoods):
+    """Means and deviations of aircraft and scatter by integration over both and over each manoeuvre's own value."""
+    step, tau, mu = v[1] - v[0], np.linspace(0.02, 2.5, 150), v[::4]
+    log = np.zeros((len(tau), len(mu)))
+    for i, t in enumerate(tau):
+        kernel = norm(mu[:, None], t).pdf(v) * step
+        log[i] = (
+            sum(np.log(np.maximum(kernel @ one, 1e-300)) for one in likelihoods)
+            + norm.logpdf(mu)
+            + halfnorm(scale=SCATTER).logpdf(t)
+        )
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    moments = []
+    for x, w in ((mu, weight.sum(axis=0)), (tau, weight.sum(axis=1))):
+        mean = w @ x
+        moments += [mean, np.sqrt(w @ (x - mean) ** 2)]
+    return moments
+
+
+def test_the_normal_approximation_agrees_with_the_full_density_of_simulated_stalls(break_angle):
+    """The likelihood of the break angle is not normal; both are integrated on one grid of aircraft and scatter."""
+    model, flown = break_angle
+    (prior,) = [p.prior for p in model.free]
+    fits = [fit_mle(model, o, extra_starts=0) for o in flown]
+    fits = [replace(fit, corrected=fit.covariance) for fit in fits]  # white noise, as the density has it
+    given = [normal_estimates(model, o, {o.names[0]: f}) for o, f in zip(flown, fits, strict=True)]
+    v = np.linspace(-1.2, 1.2, 481)  # the break angle in units of its prior
+    normal = [norm(g.y[0, 0], g.information[0, 0, 0] ** -0.5).pdf(v) for g in given]
+    full = []
+    for o, fit in zip(flown, fits, strict=True):
+        data = data_of(model, o)
+        at = prior.location + prior.scale * v
+        squares = np.array([np.sum(np.asarray(evaluate(data, jnp.asarray([x]))[0]) ** 2, axis=0) for x in at])
+        log = -0.5 * np.sum(squares / fit.R, axis=1)
+        full.append(np.exp(log - log.max()))
+    moments = [aircraft_and_scatter(v, likelihoods) for likelihoods in (normal, full)]
+    (a_mean, a_sd, t_mean, t_sd), (A_mean, A_sd, T_mean, T_sd) = moments
+    assert abs(a_mean - A_mean) < 0.05 * A_sd
+    assert abs(t_mean - T_mean) < 0.05 * T_sd
+    assert a_sd == pytest.approx(A_sd, rel=0.03)
+    assert t_sd == pytest.approx(T_sd, rel=0.03)
