@@ -45,8 +45,9 @@ from bayes_aero.inference.prediction_error import (
     PredictionErrorStatus,
     fit_prediction_error,
     innovations_posterior,
+    sample_innovations,
 )
-from bayes_aero.inference.results import Calibration
+from bayes_aero.inference.results import Calibration, PosteriorStatus
 from bayes_aero.inference.validation import LEVELS, one_step, probability_transform
 from bayes_aero.model.observations import join
 from bayes_aero.parameter import Parameter, Prior
@@ -368,6 +369,19 @@ def fitted(scalar):
     return fit_prediction_error(scalar[0], np.array([0.02]), np.array([2e-4]))
 
 
+def scalar_likelihood(z, de, a, f, sigma):
+    """A Kalman filter of one state with exact transitions, for arrays of parameters."""
+    phi, driven = np.exp(a * SCALAR_DT), (np.exp(2.0 * a * SCALAR_DT) - 1.0) / (2.0 * a) * f**2
+    x, P, total = np.zeros_like(a), np.zeros_like(a), np.zeros_like(a)
+    for measured, u in zip(z, de, strict=True):
+        if np.isfinite(measured):
+            S, e = P + sigma**2, measured - x
+            total -= 0.5 * (np.log(2.0 * np.pi * S) + e**2 / S)
+            x, P = x + P / S * e, P * sigma**2 / S
+        x, P = phi * x - (phi - 1.0) / a * u, phi**2 * P + driven
+    return total
+
+
 def test_the_density_is_that_of_the_fit(scalar, fitted):
     """Likelihood to 1e-8 of the fit's; priors by SciPy's distributions."""
     R = np.array([3e-4])
@@ -389,6 +403,33 @@ def test_the_density_is_that_of_the_fit(scalar, fitted):
     x = density.start(replace(fitted, F=np.zeros(1)))
     assert x[1] == pytest.approx(0.3 * 3e-4**0.5 * np.exp(-2.0 * SPREAD))
     assert np.isfinite(float(density(density.unconstrain(jnp.asarray(x)))))
+
+
+@pytest.mark.recovery
+def test_both_samplers_find_the_posterior_by_quadrature(scalar, fitted):
+    """Means within Monte Carlo error, deviations within a tenth; so the samplers agree with each other."""
+    flown, z, de = scalar
+    R = np.array([3e-4])
+    axes = [
+        np.linspace(-2.2, 0.4, 60) + 1e-4,
+        *(np.log(y) + np.linspace(-1.6, 1.2, 60) for y in (fitted.F[0], fitted.R[0] ** 0.5)),
+    ]
+    a, f, s = np.meshgrid(*axes, indexing="ij")
+    log = scalar_likelihood(z, de, a, np.exp(f), np.exp(s)) + stats.norm.logpdf(a, -1.0, 1.0)
+    log += stats.norm.logpdf(f, np.log(0.3 * R[0] ** 0.5), SPREAD)
+    log += stats.norm.logpdf(s, np.log((0.1 * R[0]) ** 0.5), SPREAD)
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    posteriors = sample_innovations(flown, fitted, R, seed=3)
+    assert set(posteriors) == {"nuts", "emcee"}
+    for posterior in posteriors.values():
+        assert posterior.status is PosteriorStatus.CONVERGED
+        for name, grid in {"Zalpha": a, "F_alpha": np.exp(f), "sigma_alpha": np.exp(s)}.items():
+            found = posterior.marginals[name]
+            mean = np.sum(weight * grid)
+            sd = np.sqrt(np.sum(weight * (grid - mean) ** 2))
+            assert abs(found.mean - mean) < 4.0 * sd / np.sqrt(found.ess_bulk), (posterior.engine, name)
+            assert found.sd == pytest.approx(sd, rel=0.1), (posterior.engine, name)
 
 
 class _Pendulum(System):
