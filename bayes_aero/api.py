@@ -47,8 +47,8 @@ from bayes_aero.jobs.options import FormingName, NoiseName
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Density, Noise
-from bayes_aero.model.observations import Forming, observe
-from bayes_aero.model.records import on_recorded_axes
+from bayes_aero.model.observations import observe
+from bayes_aero.model.records import Forming, on_recorded_axes
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.pages.diagnosis import causes_table, changes_table, scores_frame, screen_table, terms_table
 from bayes_aero.report.pages.estimates import verdict

@@ -14,7 +14,8 @@ from bayes_aero.diagnosis.view import view_of
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.observations import observe
+from bayes_aero.model.records import Forming
 from bayes_aero.processes import full_of_programs, give_back_memory
 from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import hidden_records

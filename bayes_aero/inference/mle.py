@@ -41,7 +41,8 @@ from bayes_aero.inference.results import (
     score,
 )
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Forming, Observations, observe
+from bayes_aero.model.observations import Observations, observe
+from bayes_aero.model.records import Forming
 from bayes_aero.parameter import Parameter, Role
 from bayes_aero.physics.aircraft import Aircraft
 

@@ -8,12 +8,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Complex, Float, Int
-from scipy.stats import chi2
 
 from bayes_aero.arrays import AnyArray
 from bayes_aero.atomic_write import write_whole
@@ -21,11 +19,16 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour
-from bayes_aero.model.observations import Forming, Observations
+from bayes_aero.model.records import Forming
 from bayes_aero.parameter import Parameter, Role
 from bayes_aero.units import number
+
+if TYPE_CHECKING:  # they load JAX, which checks of records do without
+    import xarray as xr
+
+    from bayes_aero.model.model import Model
+    from bayes_aero.model.noise import Colour
+    from bayes_aero.model.observations import Observations
 
 FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which a record is too short for intervals; our choice
 LARGE_BIAS = 0.75  # of the corrected standard error, which contains the bias
@@ -402,6 +405,8 @@ class NextFlight:
     def at_best(self) -> tuple[float, float]:
         """95 % interval of the scatter over the estimates' own, were each manoeuvre known exactly (chi-square)."""
         free = len(self.manoeuvres) - 1
+        from scipy.stats import chi2  # here, because it loads for longer than a check takes
+
         low, high = (float((free / chi2.ppf(q, free)) ** 0.5) for q in (0.975, 0.025))
         return low, high
 

@@ -57,7 +57,8 @@ from bayes_aero.inference.results import (
 )
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
-from bayes_aero.model.observations import Forming, Observations, observe
+from bayes_aero.model.observations import Observations, observe
+from bayes_aero.model.records import Forming
 from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.processes import cores, exit_with, give_back_memory
 from bayes_aero.progress import Progress

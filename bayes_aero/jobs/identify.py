@@ -34,8 +34,8 @@ from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.store import Growing, provenance, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise
-from bayes_aero.model.observations import Forming, despiked, join, observe
-from bayes_aero.model.records import on_recorded_axes
+from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.model.records import Forming, on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import FIGURES, draw_all

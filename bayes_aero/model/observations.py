@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields, replace
-from enum import StrEnum
 from functools import partial
 from typing import Any
 
@@ -20,7 +19,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.model.records import Flights, joined, named_apart, plain_marks, without_spikes
+from bayes_aero.model.records import Flights, Forming, joined, named_apart, plain_marks, without_spikes
 from bayes_aero.physics.aircraft import NAMES, Aircraft, required_of
 from bayes_aero.physics.coefficients import alike_joined, condition_joined, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP
@@ -81,13 +80,6 @@ def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
 # --- What a model is fitted to: conditioned signals and measured coefficients of one or more manoeuvres.
 
 STEADY = ', or state it under [constants] (p = "0 deg/s", r = "0 deg/s") if the wings were level throughout'
-
-
-class Forming(StrEnum):
-    """How coefficients are formed from the record."""
-
-    MATCHED = "matched"  # all signals at a common rate and filtered alike, also the inputs of the model
-    PUBLISHED = "published"  # as the published ATTAS coefficients: accelerations filtered, controls and rates not
 
 
 class Observations(eqx.Module):

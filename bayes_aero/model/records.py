@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
@@ -56,6 +57,13 @@ def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, "
         weighed = (factor * (channels[part] if part in channels else record[part]) for part, factor in parts.items())
         channels[name] = sum(weighed, start=np.zeros(record.n))
     return channels
+
+
+class Forming(StrEnum):
+    """How coefficients are formed from the record."""
+
+    MATCHED = "matched"  # all signals at a common rate and filtered alike, also the inputs of the model
+    PUBLISHED = "published"  # as the published ATTAS coefficients: accelerations filtered, controls and rates not
 
 
 @dataclass(frozen=True, eq=False)

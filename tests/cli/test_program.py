@@ -31,7 +31,7 @@ from bayes_aero.jobs import options
 from bayes_aero.jobs.finished import FORMS
 from bayes_aero.jobs.io.documents import document_schema
 from bayes_aero.model.noise import Colour
-from bayes_aero.model.observations import Forming
+from bayes_aero.model.records import Forming
 from bayes_aero.simulate import demo
 
 COMMANDS = sorted(command.callback.__name__ for command in app.registered_commands)

@@ -23,8 +23,8 @@ from bayes_aero.flight.reading import read_record
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import MleStatus
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Forming, observe
-from bayes_aero.model.records import on_recorded_axes
+from bayes_aero.model.observations import observe
+from bayes_aero.model.records import Forming, on_recorded_axes
 from bayes_aero.physics.aircraft import OF_AXIS
 
 BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"

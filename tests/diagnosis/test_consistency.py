@@ -41,8 +41,8 @@ from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.io.parts import ConsistencyPart
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Forming, despiked, join, observe
-from bayes_aero.model.records import joined
+from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.model.records import Forming, joined
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth
 from bayes_aero.physics.kinematics import LATERAL, PATH, Rotation, integral, lever_arm, path_rates, side_force

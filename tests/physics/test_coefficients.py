@@ -10,7 +10,8 @@ import pytest
 from bayes_aero.flight.card import read_card
 from bayes_aero.jobs.io.parts import Coefficient, Output
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.observations import observe
+from bayes_aero.model.records import Forming
 from bayes_aero.physics import filters
 from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.physics.coefficients import (

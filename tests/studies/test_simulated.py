@@ -14,8 +14,8 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Forming, marks, observe
-from bayes_aero.model.records import with_sums
+from bayes_aero.model.observations import marks, observe
+from bayes_aero.model.records import Forming, with_sums
 from bayes_aero.simulate.demo import TRUTH, Request
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable, hidden_flights, hidden_records, synthetic
 
