@@ -57,7 +57,7 @@ from bayes_aero.inference.prediction_error import GUSTS
 from bayes_aero.inference.results import MleResult, MleStatus, OutputErrorStatus
 from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.fly import fly
-from bayes_aero.jobs.io.results import tested_part
+from bayes_aero.jobs.io.results import part_of_errors
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.parameter import Parameter, Prior
@@ -202,7 +202,7 @@ def test_errors_beyond_the_noise_decide_the_verdict(left, explained, no_effect, 
     assert as_tested(Verdict.EXPLAINED, tested) is explained
     assert as_tested(Verdict.NO_EFFECT, tested) is no_effect
     assert as_tested(Verdict.UNEXPLAINED, tested) is Verdict.UNEXPLAINED
-    assert tested_part(tested, result.TRAJECTORIES).within_noise is within_noise
+    assert part_of_errors(tested, result.TRAJECTORIES).within_noise is within_noise
 
 
 def test_errors_are_judged_by_the_noise_that_the_card_states(card):

@@ -99,7 +99,7 @@ def diagnosis_results(
         card=card,
         records=record_parts(records, card),
         consistency=parts.ConsistencyPart.of(outcome.consistency),
-        tested=tested_part(d.tested, d.compared),
+        tested=part_of_errors(d.tested, d.compared),
         sentences=sentences(view),
         causes=[cause_part(cause) for cause in d.causes],
         unexplained=d.unknown,
@@ -131,7 +131,7 @@ def term_part(found: FoundTerm) -> documents.TermPart:
     return documents.TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
 
 
-def tested_part(tested: Tested | None, compared: str) -> documents.TestedPart:
+def part_of_errors(tested: Tested | None, compared: str) -> documents.TestedPart:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
         return documents.TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
