@@ -124,7 +124,8 @@ def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], 
     y = np.linalg.cholesky(covariance(theta, inputs)) @ rng.standard_normal(len(inputs))
     data = ReducedData.of(inputs, y)
     best = find_map(data, priors, starts=4, polish=1, seed=seed)[0]
-    found = sample_posterior(best, data, priors, budget=Budget(exact=400, nuts=Settings(300, 500, 4)), seed=seed)
+    budget = Budget(exact=400, nuts=Settings(300, 500, 4), seed=seed)
+    found = sample_posterior(best, data, priors, budget=budget)
     flat = found.chains.theta.reshape(-1, theta.size)
     if found.weighted is not None and found.status is SampleStatus.accepted:
         drawn = found.weighted.theta.reshape(-1, theta.size)

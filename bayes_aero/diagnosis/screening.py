@@ -178,9 +178,6 @@ def lag1_within(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " 
     return float(sum(np.sum(r[1:] * r[:-1]) for r in parts) / sum(np.sum(r**2) for r in parts))
 
 
-# --- The noise that a diagnosis leaves: its colour, growth and outliers.
-
-
 # --- Candidates with the model projected out: what each would explain, how sure that is, and how far two are apart.
 
 

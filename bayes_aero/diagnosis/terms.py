@@ -188,10 +188,8 @@ def sized(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[FoundTe
     sizes = []
     for term, size, sd in zip(terms, fit.step[own], deviation[own], strict=True):
         column, coefficient = term.column, term.column.component.coefficient
-        factor, least = (
-            (float(size) / column.scale, float(sd) / column.scale),
-            SWING[coefficient] / max(column.spread, 1e-12),
-        )
+        factor = float(size) / column.scale, float(sd) / column.scale
+        least = SWING[coefficient] / max(column.spread, 1e-12)
         gain = nats(term.gain, term.inflation)
         sizes.append(FoundTerm(coefficient, column.term, factor, term.share, gain, term.weight, term.others, least))
     return tuple(sizes)

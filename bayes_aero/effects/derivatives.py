@@ -116,7 +116,8 @@ def derivative(
     if separated:
         above, _, below = separated.partition("/")
         known = {"X": float(above) / float(below or 1)}
-        by_hand = by_hand.replace(" x ", f" x (1 - {separated}) x ", 1)
+        share = f" x (1 - {separated})"
+        by_hand = f"{value:g}{share}, by hand" if by == "1" else by_hand.replace(" x ", f"{share} x ", 1)
         symbol, stage = f"(1 - X) {symbol}", Stage.TOTAL
         source = SEPARATED_SHARE if source == DERIVATIVE else source
     given = dict(zip(r.signals, signals, strict=True))

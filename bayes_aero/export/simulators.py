@@ -360,9 +360,12 @@ OPERATIONS |= {{
         "sqrt", "cbrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
         "cosh", "tanh", "floor", "ceil", "pow",
     )
+    if hasattr(math, name)  # cbrt is of Python 3.11
 }}
 OPERATIONS |= {{
-    "div": operator.truediv, "min": min, "max": max, "abs": abs, "not": operator.not_,
+    "div": operator.truediv, "abs": abs,
+    "min": lambda x, y: min(x, y) if x == x and y == y else math.nan,  # what is no number stays none
+    "max": lambda x, y: max(x, y) if x == x and y == y else math.nan, "not": operator.not_,
     "and": lambda x, y: x and y, "or": lambda x, y: x or y, "select": lambda where, x, y: x if where else y,
     "sign": lambda x: float(x > 0.0) - float(x < 0.0),
     "logistic": lambda x: 1.0 / (1.0 + math.exp(-x)) if x >= 0.0 else math.exp(x) / (1.0 + math.exp(x)),
@@ -419,6 +422,9 @@ class {name}(Fmi2Slave):
 
     def _evaluate(self):
         found = aerodynamics(self.inputs, self.states, self.parameters)
+        lost = [name for name, x in found.items() if not math.isfinite(x)]
+        if lost:
+            raise ValueError(f"{{lost[0]}} is no number at inputs {{self.inputs}}")
         self.outputs.update((name, found[name]) for name in OUTPUTS)
         return found
 

@@ -327,21 +327,18 @@ def common_interval(records: Sequence[FlightRecord]) -> float:
 
 def at_common_rate(records: Sequence[FlightRecord]) -> list[FlightRecord]:
     """The records at `common_interval`, filtered against aliasing; those that have it, unchanged."""
-    return [
-        resample_record(record, common_interval(records)) if _odd(record, records) else record for record in records
-    ]
-
-
-def _odd(record: FlightRecord, records: Sequence[FlightRecord]) -> bool:
     dt = common_interval(records)
-    return abs(record.dt - dt) > SAME * dt
+    return [resample_record(record, dt) if abs(record.dt - dt) > SAME * dt else record for record in records]
 
 
 def rate_notes(records: Sequence[FlightRecord]) -> tuple[str, ...]:
     """A sentence where records were brought to another rate; none where they were not."""
-    rates = ", ".join(f"{record.name} ({1.0 / record.dt:.4g} Hz)" for record in records if _odd(record, records))
-    rate = f"{1.0 / common_interval(records):.4g} Hz" if rates else ""
-    return (f"Brought to the common rate of {rate}, filtered against aliasing: {rates}.",) if rates else ()
+    if not records:
+        return ()
+    dt = common_interval(records)
+    odd = [f"{record.name} ({1.0 / record.dt:.4g} Hz)" for record in records if abs(record.dt - dt) > SAME * dt]
+    said = f"Brought to the common rate of {1.0 / dt:.4g} Hz, filtered against aliasing: {', '.join(odd)}."
+    return (said,) if odd else ()
 
 
 # --- A look at a record through a card: what was taken from where, and everything that is wrong with it at once.

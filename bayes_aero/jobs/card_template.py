@@ -139,7 +139,7 @@ def channels_block(
         entry = f"{{ {_place(guess.column)}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
         doubt, said = _implausible(name, guess), f"guess: {guess.evidence}; {_range(guess.values)}"
         if not doubt:
-            yield Todo.of(name, entry, said) if guess.unit is None else f"{name} = {entry} {comment(said)}"
+            yield Todo.of(name, entry, said) if not guess.unit else f"{name} = {entry} {comment(said)}"
             continue
         yield comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
         yield f"# {name} = {entry}"

@@ -15,8 +15,6 @@ from bayes_aero.effect import Effect
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.reading import read_record
-from bayes_aero.flight.record import WRITERS, write_record
 from bayes_aero.jobs.store import picked, provenance, sha256_of, writable, write_json
 from bayes_aero.model.model import own_effects
 from bayes_aero.parameter import Parameter
@@ -201,6 +199,8 @@ def simulate_file(
 
     With `page` there is `out`.report.html, too; the last item states what of it could not be made.
     """
+    from bayes_aero.flight.reading import read_record
+    from bayes_aero.flight.record import WRITERS, write_record
     from bayes_aero.report.html.page import put_page
     from bayes_aero.report.pages.check import simulated_page
     from bayes_aero.simulate.injection import synthetic

@@ -52,7 +52,7 @@ class _Filled(Formatter):
             return size_text(value[0], value[1], format_spec[1:] or "1")
         listed = isinstance(value, Collection) and not isinstance(value, str)
         if "|" in format_spec:
-            return format_spec.split("|")[(len(value) if listed else value) != 1]
+            return format_spec.split("|")[int((len(value) if listed else value) != 1)]
         return several(value) if listed else super().format_field(value, format_spec)
 
 

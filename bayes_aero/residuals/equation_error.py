@@ -117,7 +117,7 @@ class EquationError(Blockwise, eqx.Module):
 
 
 class _Padded(NamedTuple):
-    """Residuals of padded flights, the regression of alpha-dot, and the samples of each block where they are padded."""
+    """Residuals, the regression of alpha-dot, and the samples of each block; None where flights are as they are."""
 
     responses: EquationError
     regression: LiftRegression

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import six_axes as six
 import stranger_six
-from calling import called, refused, succeeded, validated
+from calling import answer, called, refused, succeeded, validated
 
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.pilot import commands, lateral_commands
@@ -46,6 +46,15 @@ def test_the_flight_begins_in_level_flight_and_reaches_the_stall(flights, card):
     assert np.rad2deg(record["alpha"].max()) > 15.0
     speed_of_sound = record["airspeed"] / record["mach"]
     assert speed_of_sound[0] == pytest.approx(319.7, abs=1.0)  # ISO 2533 table, 5200 m: 319.7 m/s
+
+
+def test_noise_is_that_of_the_sensors(program, flights):
+    """That a seed is a record, and another seed another one, is in test_simulated.py."""
+    arguments = ["--manoeuvre", "slow_stall", "--duration", "40", "--noise", "white", "--noise-scale", "2"]
+    truth = answer(program("simulate", *arguments, "--seed", "5", "--out", "a.csv", "--json"))
+    noise = pd.read_csv("a.csv")["ALCG"] - pd.read_csv(flights.sound)["ALCG"]
+    assert noise.std() == pytest.approx(2 * 0.05, rel=0.1)  # deg, twice the card's
+    assert truth["sensor_noise"]["alpha"] == pytest.approx(np.deg2rad(0.1))
 
 
 def test_every_standard_manoeuvre_can_be_chosen():

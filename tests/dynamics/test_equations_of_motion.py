@@ -23,7 +23,7 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
-from bayes_aero.physics.aircraft import GRAVITY, NO_AIRCRAFT, Axis, air
+from bayes_aero.physics.aircraft import GRAVITY, NAMES, NO_AIRCRAFT, Axis, air
 from bayes_aero.physics.coefficients import coefficients
 from bayes_aero.simulate.demo import TRUTH
 
@@ -236,6 +236,29 @@ def test_the_integration_is_of_fourth_order_and_substeps_are_steps():
     coarse = fly(Falling(), jnp.ones(1), {"t": jnp.linspace(0.0, 3.0, 51)}, 0.06, substeps=4)
     fine = fly(Falling(), jnp.ones(1), {"t": jnp.linspace(0.0, 3.0, 201)}, 0.015)
     np.testing.assert_allclose(coarse.states, fine.states[::4], rtol=1e-12)
+
+
+@pytest.mark.parametrize("lag", [0.0, 20.0])
+def test_coefficients_taken_apart_are_those_put_together(card, lag):
+    """What the sensors of a simulated stall would show gives back the CL, CD, Cm it was flown with."""
+    n = 251
+    t = np.arange(n) * DT
+    u = moved(n, DT, elevator=-0.10 - 0.010 * t, mach=np.full(n, 0.3), **wings_not_level(t))
+    effects = card.effects if lag else [name for name in card.effects if name != "separation_lag"]
+    flown = longitudinal(effects, card.aircraft, tau1=lag, tau2=20.0)
+    first = jnp.concatenate([begin(V=90.0, alpha=0.2, theta=0.2), jnp.full(int(lag > 0.0), 0.9)])
+    flight = fly(flown, first, u, DT)
+    assert bool(jnp.all(flight.inside))
+    s = flight.outputs
+    assert float(s["X"].min()) < 0.5
+    assert float(jnp.abs(s["alpha_dot"]).max()) > 0.03
+    seen = {name: s[name] for name in ("ax", "az", "q", "q_dot", "alpha", "airspeed")}
+    seen |= {name: u[name] for name in ("p", "r", "p_dot", "r_dot", "thrust")} | {"density": air(s["altitude"])[0]}
+    assert min(abs(x) for x in card.aircraft.accelerometer) > 0.05
+    for name in NAMES:
+        value = getattr(coefficients(seen, card.aircraft), name)
+        assert float(jnp.ptp(value)) > 1e-3
+        np.testing.assert_allclose(value, s[name], rtol=1e-10, atol=1e-13, err_msg=name)
 
 
 def test_alpha_dot_solves_its_equation(card):

@@ -28,6 +28,7 @@ KNOT, FOOT = 0.514444, 0.3048
 DEG = np.pi / 180.0
 POOR = {"alpha": 0.1 * DEG, "theta": 0.1 * DEG, "q": 0.1 * DEG, "elevator": 0.1 * DEG, "az": 0.004 * G, "ax": 0.004 * G,
         "airspeed": 0.2 * KNOT, "altitude": 5.0 * FOOT}  # fmt: skip
+TRIALS = Path(__file__).parents[2].parent / "shared" / "trials"
 
 
 def told(record, *more, **changes):
@@ -605,3 +606,10 @@ def test_pilots_of_the_book_are_no_feedback(model, name):
     """The unstable aircraft is under feedback of w beside the pilot's command (cases.md): its published fit holds."""
     card = read_card(model)
     assert [*feedback([read_record(BOOK / name, card.channels)], card)] == []
+
+
+@pytest.mark.skipif(not TRIALS.is_dir(), reason="the small inputs are not in ../shared/trials")
+def test_the_record_without_a_pilot_is_told():
+    card = read_card("short_period")
+    record = read_record(TRIALS / "feedback_only.csv", card.channels)
+    assert [f.fault for f in channel_health([record], card) if f.grave] == ["feedback"]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from flights import NOISE, UNITS, G, card, changed, flight, smooth
 
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.health.air import air_data, derivatives
 from bayes_aero.flight.health.channel import channel_health
@@ -17,6 +18,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import standard_air
 
 BOOK = Path(__file__).parents[2].parent / "shared" / "book"
+TRIALS = BOOK.parent / "trials"
 LBF, LB, FOOT, KNOT = 0.45359237 * 9.80665, 0.45359237, 0.3048, 1852.0 / 3600.0
 SLUG = LB * 9.80665 / FOOT / FOOT**3  # kg/m3
 AIR = {
@@ -374,3 +376,17 @@ def test_calibrated_airspeed_and_time_in_other_units(sound):
     found = channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
     (finding,) = [f for f in found if f.fault == "unit"]
     assert 'unit = "s" for it on the card' in finding.sentence
+
+
+@pytest.mark.skipif(not TRIALS.is_dir(), reason="the small inputs of a user are not in ../shared/trials")
+def test_the_axes_of_a_simulated_stall_are_named_and_its_elevator_is_not_blamed():
+    """README of the inputs: sensors x forward, y left, z up. Yaw rate and heading turn together there."""
+    attas = read_card("attas")
+    record = read_record(TRIALS / "axes_flu.csv", attas.channels)
+    (finding,) = [f for f in channel_health([record], attas) if f.grave]
+    assert finding.fault == "axes"
+    assert "x forward, y left, z up" in finding.sentence
+    assert set(re.search(r"sign = -1 at ([\w, ]+) on", finding.sentence)[1].split(", ")) == set(FORWARD_LEFT_UP)
+    channels = tuple(replace(c, sign=-1) if c.name in FORWARD_LEFT_UP else c for c in attas.channels)
+    followed = replace(attas, channels=channels)
+    assert channel_health([read_record(TRIALS / "axes_flu.csv", channels)], followed) == ()

@@ -18,6 +18,7 @@ from bayes_aero.model.observations import marks, observe
 from bayes_aero.model.records import Forming, with_sums
 from bayes_aero.simulate.demo import TRUTH, Request
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable, hidden_flights, hidden_records, synthetic
+from bayes_aero.study.study import read_study
 
 QUIET = {"noise": "white", "sensor_noise": 0.0}
 CHANNEL = [e.name for e in CATALOGUE.values() if e.stage is Stage.CHANNEL and e.acts_on(FLOWN_AXES)]
@@ -197,3 +198,13 @@ def test_identify_tells_the_common_rate(stalls, card):
     found = identify([stalls[0.04][0], stalls[0.01][1]], card, IdentifyOptions(sample=False, gp=False))
     assert any("25 Hz" in note and "100 Hz" in note for note in found.notes)
     assert found.observations.dt == pytest.approx(0.04)
+
+
+def test_a_study_may_ask_for_published_coefficients(tmp_path):
+    (tmp_path / "r.csv").write_text("time\n")
+    text = 'records = ["r.csv"]\n[options]\ncoefficients = "{}"\n'
+    (tmp_path / "s.toml").write_text(text.format("published"))
+    assert read_study(tmp_path / "s.toml").units[0].options["coefficients"] == "published"
+    (tmp_path / "s.toml").write_text(text.format("raw"))
+    with pytest.raises(InputError, match="matched, published"):
+        read_study(tmp_path / "s.toml")

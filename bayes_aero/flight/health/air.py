@@ -93,7 +93,8 @@ def air_data(record: FlightRecord, card: Card) -> Findings:
     """A finding for each relation between air data, altitude and weight that does not hold."""
     view = _view(record, card)
     have = frozenset(view) & frozenset(record.channels)
-    if {"static_pressure", "density", "static_temperature"} <= have:
+    warm = _middle(view["static_temperature"]) > 0.0 if "static_temperature" in have else False
+    if warm and {"static_pressure", "density"} <= have:
         k = _middle(view["static_pressure"] / np.maximum(view["density"] * GAS * view["static_temperature"], 1e-9))
         yield from off_by_factor(record, card, k, {"static_pressure": 1, "density": -1}, "density times R T")
     if {"static_pressure", "altitude"} <= have:

@@ -154,7 +154,7 @@ def without_drift(x: np.ndarray) -> np.ndarray:
 
 INSTRUMENTS = {"accelerations": ("ax", "ay", "az"), "rates": ("p", "q", "r")}
 ATTITUDE, FLOW = ("phi", "theta", "psi"), ("alpha", "beta")
-GROUPS = (*INSTRUMENTS.values(), ATTITUDE, FLOW)
+GROUPS = (INSTRUMENTS["rates"], INSTRUMENTS["accelerations"], ATTITUDE, FLOW)
 """Channels of one instrument, which share their unit."""
 SINGLE = (*ATTITUDE, *FLOW, "p", "q", "r", "ax", "ay", "az", "airspeed", "altitude", "time")
 SIGNS = ("p", "q", "r", *ATTITUDE, *FLOW, "ax", "ay", "az", "altitude")

@@ -249,7 +249,7 @@ def open_netcdf(data: bytes) -> OpenedFile:
     with foreign("NetCDF file"):
         there = netcdf_file(io.BytesIO(data), "r", mmap=False).variables
         units = {key: stated_unit(getattr(variable, "units", None)) for key, variable in there.items()}
-        listed = [Variable(key, (str(key),), tuple(v.data.shape), units[key]) for key, v in there.items()]
+        listed = [Variable(key, (str(key),), (), units[key]) for key in there]  # a matrix is no channel
 
     def load(places: Places) -> dict[str, np.ndarray]:
         loaded = {}

@@ -635,10 +635,17 @@ def log_posterior(theta: Float[np.ndarray, " p"], data: ReducedData, priors: Pri
     """log q(theta) + log p(y | theta) at all n points, NaN where K is not positive definite; and the statistics."""
     u = noise_to_signal(theta)
     stats = reduced_stats(u, data)
+    return density_at(theta, u, stats, float(data.n), priors) if stats.ok else math.nan, stats
+
+
+def density_at(
+    theta: Float[np.ndarray, " p"], u: Float[np.ndarray, " u"], stats: ReducedStats, n: float, priors: Priors
+) -> float:
+    """The log posterior given the statistics at u; NaN where sds are too far apart for double precision."""
     try:
-        return slopes(theta[: u.size + 1], u, stats, float(data.n), priors).value if stats.ok else math.nan, stats
-    except np.linalg.LinAlgError:  # sds too far apart for double precision
-        return math.nan, stats
+        return slopes(theta[: u.size + 1], u, stats, n, priors).value
+    except np.linalg.LinAlgError:
+        return math.nan
 
 
 def best_sizes(

@@ -30,11 +30,11 @@ from bayes_aero.inference.gp.kernel import (
     ReducedStats,
     Scaling,
     curvature,
+    density_at,
     hyper_names,
     length_slice,
     log_posterior,
     noise_to_signal,
-    slopes,
     stats_and_gradient,
 )
 
@@ -446,7 +446,7 @@ def sample_posterior(
         pilots, error = [ExactPoint(u, *stats_and_gradient(u, data)) for u in us], np.inf
         if all(p.stats.ok for p in pilots):
             n, pairs = float(data.n), zip(flat[at], pilots, strict=True)
-            exact = [slopes(t[: p.u.size + 1], p.u, p.stats, n, priors).value for t, p in pairs]
+            exact = [density_at(t, p.u, p.stats, n, priors) for t, p in pairs]
             error = float(np.std(np.array(exact) - chains.log_density.ravel()[at] / TEMPER))
         points += pilots
         tell(f"round {number}: the stand-in errs by {error:.2g} in log density")

@@ -53,7 +53,8 @@ class Method:
 
     def over(self, base: Method) -> dict[str, float]:
         """Its standard error over that of `base`, by parameter that both have."""
-        return {n: e.sd / base.estimates[n].sd for n, e in self.estimates.items() if n in base.estimates}
+        sd = {name: estimate.sd for name, estimate in base.estimates.items() if estimate.sd > 0.0}
+        return {name: e.sd / sd[name] for name, e in self.estimates.items() if name in sd}
 
 
 class Scatter(NamedTuple):

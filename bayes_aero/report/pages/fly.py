@@ -350,7 +350,11 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Report:
     verdict, *rest = context.sentences
     card, motion = context.card, context.motion
     units = {name: flown.units[name] for name in flown.outputs}
-    inside = tolerance_table(flown)
+
+    def errors() -> tuple[Any, ...]:
+        inside = tolerance_table(flown)
+        return error_table(flown), inside and (inside, trajectories.sources(card, units))
+
     of_path, of_model = ("Flight path", "Errors of sensors, from recorded accelerations and rates"), (
         "Trajectories", "A model fitted to trajectories by output error"
     )  # fmt: skip
@@ -365,9 +369,7 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Report:
             section("findings", "Findings", lambda: ([*rest, *context.notes], parts.terms("terms_of_fly"))),
             parts.records_section(context),
             section("fit", "Measured and simulated", lambda: _flights(flown, units)),
-            section(
-                "errors", "Errors", lambda: (error_table(flown), inside and (inside, trajectories.sources(card, units)))
-            ),
+            section("errors", "Errors", errors),
             section("parameters", "Parameters", lambda: _parameters(flown, context)),
             section("frequency", "In the frequency domain", lambda: _frequency(flown, context)),
             section("motion", "Modes of motion", lambda: mode_table(motion) if motion and motion.modes else None),
