@@ -137,7 +137,6 @@ def _places(x: Float[np.ndarray, " n"], shares: Sequence[float]) -> list[float]:
 # --- Components: functions of channels, periods and terms in a regression.
 
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
-OVER_TIME = "time, period "
 ODD = ("beta", "p", "r", "aileron", "rudder")
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
 SEPARATES = 0.9  # X below which a flight tells what acts in separated flow alone; our choice
@@ -186,21 +185,19 @@ def periodic_components(state: SelectionState) -> list[Component]:
         phase = 2.0 * np.pi * elapsed / period
         wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
         basis = np.concatenate([wave * (manoeuvre == k)[:, None] for k in range(int(manoeuvre[-1]) + 1)], axis=1)
-        components += _in_each(state, f"{OVER_TIME}{period:.3g} s", dict.fromkeys(state.outputs, basis))
+        columns = dict.fromkeys(state.outputs, basis)
+        components += _in_each(state, f"time, period {period:.3g} s", columns, periodic=True)
     return components
 
 
-def is_periodic(component: Component) -> bool:
-    """Whether it is a sinusoid, whose phases another manoeuvre does not know."""
-    return component.channel.startswith(OVER_TIME)
-
-
-def _in_each(state: SelectionState, channel: str, columns: dict[str, Float[np.ndarray, "m w"]]) -> list[Component]:
+def _in_each(
+    state: SelectionState, channel: str, columns: dict[str, Float[np.ndarray, "m w"]], *, periodic: bool = False
+) -> list[Component]:
     components = []
     for coefficient, column in columns.items():
         basis = np.zeros((len(column), len(state.outputs), column.shape[1]))
         basis[:, state.outputs.index(coefficient)] = column
-        components.append(Component(coefficient, channel, basis))
+        components.append(Component(coefficient, channel, basis, periodic))
     return components
 
 

@@ -178,6 +178,7 @@ class Component:
     coefficient: str
     channel: str
     basis: Float[np.ndarray, "m c w"]  # what it adds to each output
+    periodic: bool = False  # a sinusoid, whose phases another manoeuvre does not know
 
     @property
     def label(self) -> str:

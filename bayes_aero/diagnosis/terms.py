@@ -18,7 +18,6 @@ from bayes_aero.diagnosis.components import (
     TermColumn,
     Trial,
     columns_of,
-    is_periodic,
     likeness,
     polynomials,
     term_of,
@@ -371,7 +370,7 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     """Terms for all structure that is `left`; periods have none."""
     functions: dict[str, list[Component]] = {}
     for function in left.functions:
-        if not is_periodic(function):
+        if not function.periodic:
             functions.setdefault(function.coefficient, []).append(function)
 
     def sought(state: SelectionState) -> list[SelectedTerm]:
