@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 49704,
+    "bayes_aero: lines": 49709,
     "bayes_aero: files": 156,
     "bayes_aero: private helpers used once": 276,
     "bayes_aero: class names with several meanings": 0,

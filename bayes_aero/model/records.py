@@ -66,6 +66,9 @@ class Forming(StrEnum):
     PUBLISHED = "published"  # as the published ATTAS coefficients: accelerations filtered, controls and rates not
 
 
+OFF_PAGE = 24  # samples
+
+
 @dataclass(frozen=True, eq=False)
 class Flights:
     """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`)."""
@@ -111,10 +114,11 @@ class Flights:
     @cached_property
     def padded(self) -> tuple[Flights, Any]:
         """As one that stands still after its end, nameless, with the `regression` of what was recorded (NumPy's)."""
-        # Flights of like length share compiled programs so.
+        # Flights of like length share compiled programs so: eight lengths an octave. A multiple of a page (512 numbers)
+        # would let rows of one sample share places of the cache, which takes twice as long.
         n = self.n
-        step = 1 << max(n.bit_length() - 4, 0)  # an eighth of the power of two below, so 12 % longer at most
-        more = -n % step
+        step = 1 << max(n.bit_length() - 4, 0)
+        more = -n % step + OFF_PAGE
         recorded = replace(self, channels={name: np.asarray(x) for name, x in self.channels.items()})
 
         def longer(x: np.ndarray) -> np.ndarray:

@@ -89,11 +89,11 @@ class EquationError(Blockwise, eqx.Module):
     def _padded(self) -> _Padded:
         f = self.flights
         padded, regression = f.padded
-        samples = np.full((padded.n // FILTER_STEP, FILTER_STEP), padded.n - 1)
+        begins = np.full(padded.n // FILTER_STEP, padded.n - FILTER_STEP)
         parts = zip(np.cumsum([0, *f.lengths[:-1]]), f.lengths, strict=True)
         first = np.concatenate([b + np.arange(0, k - k % FILTER_STEP, FILTER_STEP) for b, k in parts])
-        samples[: len(first)] = first[:, None] + np.arange(FILTER_STEP)
-        return _Padded(replace(self, flights=padded), regression, samples)
+        begins[: len(first)] = first
+        return _Padded(replace(self, flights=padded), regression, begins)
 
     def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
         return _AddedToEquations(self, theta)
@@ -117,14 +117,18 @@ class EquationError(Blockwise, eqx.Module):
 
 
 class _Padded(NamedTuple):
-    """Residuals, the regression of alpha-dot, and the samples of each block; None where flights are as they are."""
+    """Residuals, the regression of alpha-dot, and the first sample of each block, None where flights are not padded."""
 
     responses: EquationError
     regression: LiftRegression
-    samples: Int[AnyArray, "m s"] | None
+    begins: Int[AnyArray, " m"] | None
 
     def block(self, x: Float[AnyArray, "n ..."]) -> Float[AnyArray, "m ..."]:
-        return self.responses.block(x) if self.samples is None else x[self.samples].mean(axis=1)
+        if self.begins is None:
+            return self.responses.block(x)
+        last = x.shape[0] - FILTER_STEP + 1
+        means = sum((x[k : last + k] for k in range(1, FILTER_STEP)), start=x[:last]) / FILTER_STEP
+        return means.at[self.begins].get(mode="promise_in_bounds")  # a fifth of what is gathered sample by sample
 
 
 class _Signals:
