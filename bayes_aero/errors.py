@@ -80,7 +80,7 @@ def attempted(
         return do(), ()
     except (InputError, CancelledError):
         raise
-    except Exception as reason:  # whatever it is, the other parts of the job stand; it is told, and the job fails
+    except Exception as reason:  # whatever it is, the other parts of the job stand; it is reported, and the job fails
         return otherwise, (failure(what, reason, folder, own=own),)
 
 

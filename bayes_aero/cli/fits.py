@@ -344,7 +344,7 @@ def qualify(
 
 # --- bayes-aero run.
 
-SILENCE = 15.0  # seconds without workers after which that is told also where there is no terminal
+SILENCE = 15.0  # seconds without workers after which that is reported also where there is no terminal
 SCHEMA = "bayes_aero/study/1"
 
 
@@ -386,7 +386,7 @@ def run(
         raise InputError("--dry-run is done in this process; leave --workers and --scheduler out")
     from bayes_aero.study.study import read_study
 
-    asked = read_study(study, trust_effects=trust_effects)  # a mistake is told before the libraries are loaded
+    asked = read_study(study, trust_effects=trust_effects)  # a mistake is reported before the libraries are loaded
     with terminal.loading():
         from bayes_aero.study.run import leftovers, plan
 

@@ -1,4 +1,4 @@
-"""What a record must satisfy before anything is computed from it; each failure is told with its remedy."""
+"""What a record must satisfy before anything is computed from it; each failure is reported with its remedy."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def known_effects(card: Card | None = None) -> dict[str, Effect]:
 
 
 def effect_named(name: str, among: Mapping[str, Effect]) -> Effect:
-    """One effect; an unknown name is told with those that look like it."""
+    """One effect; an unknown name is reported with those that look like it."""
     if name in among:
         return among[name]
     close = get_close_matches(name, among, n=WORDS, cutoff=0.5)

@@ -40,7 +40,7 @@ class RecordChecks:
 
     @contextmanager
     def behind(self) -> Iterator[None]:
-        """Bad input that is found later is told with the faults that may be behind it."""
+        """Bad input that is found later is reported with the faults that may be behind it."""
         try:
             yield
         except InputError as reason:

@@ -202,7 +202,7 @@ def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, in
 
 
 def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
-    """Findings for surfaces that follow the outputs, to within noise, in every record in which they move: the law of
+    """Findings for surfaces that follow the outputs, to within noise, in every record where they move: the law of
     the feedback fits as well as the aircraft does. A pilot's input beside it separates the two. Source: L. Ljung,
     System Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft)."""
     if card.linear is not None:
