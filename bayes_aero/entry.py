@@ -13,7 +13,7 @@ TOLD = "interrupted; nothing had been written yet, give the same command again\n
 
 
 def main() -> None:
-    """Entry point. An import that Ctrl-C breaks off fails in as many ways as there are libraries; it is reported as one."""
+    """Entry point. An import that Ctrl-C breaks off fails in a way of each library; it is reported in one way."""
     pressed: list[int] = []
 
     def leave(*_: object) -> NoReturn:
