@@ -22,6 +22,7 @@ from markupsafe import Markup, escape
 from bayes_aero import __version__
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import failure
+from bayes_aero.report.phrases import is_doubtful
 from bayes_aero.report.table import Table, cell_text
 
 ACROSS = 150  # characters in a row of a table from which paper is turned
@@ -155,7 +156,7 @@ def blocks(*parts: Any) -> tuple[Block, ...]:
         elif isinstance(part, Table):
             made.append(page_table(part))
         elif isinstance(part, str):
-            made += [Text(part)] if part else []
+            made += [Text(part, "warning" if is_doubtful(part) else "plain")] if part else []
         elif isinstance(part, list) and part and all(isinstance(item, str) for item in part):
             made.append(Points(tuple(part)))
         elif part is not None:

@@ -13,7 +13,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import Agreement, Consistency, HealthFinding, OpenError
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Facts, Fold, HtmlTable, Plot, Section, Text, fold, section
+from bayes_aero.report.html.page import Block, Facts, Fold, HtmlTable, Plot, Section, Text, blocks, fold, section
 from bayes_aero.report.html.plots import LOW, MOST, TIME, Line, Over, Panel, linked
 from bayes_aero.report.phrases import (
     WORDS,
@@ -140,14 +140,13 @@ def doubts(
     failures: Sequence[str] = (),
     *,
     corrects: bool = False,
-) -> list[Text]:
+) -> list[Block]:
     """First part of a page: failed parts of the job, disagreement of the sensors, and faulty channels."""
     answer = []
     if agreement is not None and agreement.agreement is not Agreement.AGREE:
-        first, *_ = consistency_sentences(agreement, corrects=corrects)
-        answer = [Text(first, "warning" if agreement.disagrees else "plain")]
+        answer = consistency_sentences(agreement, corrects=corrects)[:1]
     faults = (f"{finding.sentence}." for finding in health if finding.grave)
-    return [*warnings(failures), *answer, *warnings(faults)]
+    return [*warnings(failures), *blocks(*answer), *warnings(faults)]
 
 
 # --- The records at a glance, and what the model means by its parameters.
