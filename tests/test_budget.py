@@ -10,11 +10,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 49727,
+    "bayes_aero: lines": 49632,
     "bayes_aero: files": 156,
-    "bayes_aero: private helpers used once": 276,
+    "bayes_aero: private helpers used once": 277,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 25052,
+    "tests: lines": 25041,
     "tests: files": 91,
     "benchmarks: lines": 5001,
     "benchmarks: files": 30,

@@ -284,10 +284,7 @@ def histories(
     over: Over = TIME,
 ) -> Plot:
     """One manoeuvre's panels; `what` begins the words that describe them."""
-    firsts = [(panel.label, panel.lines[0].values) for panel in panels]
-    spans = "; ".join(f"{x} from {number(float(np.nanmin(y)))} to {number(float(np.nanmax(y)))}" for x, y in firsts)
-    labels = several(label for label, _ in firsts)
-    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {labels}. Measured: {spans}."
+    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {several(p.label for p in panels)}."
     caption = sentence("thinned", n=len(time)) if len(time) > MOST else ""
     return Plot(linked(time - time[0], panels, key, over), legend, alt, caption, name)
 
