@@ -290,7 +290,7 @@ def after(first, record):
     return FlightRecord.from_arrays("flight", 0.04 * np.arange(len(both["alpha"])), both)
 
 
-def test_time_on_the_ground_and_idle_flight():
+def test_time_on_the_ground_is_told():
     record, rng = flight(15), np.random.default_rng(0)
     on = {k: np.full(500, x[0]) + 1e-3 * rng.standard_normal(500) for k, x in record.channels.items()}
     on["airspeed"], on["az"] = 4.0 + 0.3 * rng.standard_normal(500), -G + 0.02 * rng.standard_normal(500)
@@ -298,13 +298,6 @@ def test_time_on_the_ground_and_idle_flight():
     assert (finding.fault, finding.begin) == ("ground", 0.0)
     assert finding.end == pytest.approx(499 * 0.04, abs=0.5)
     assert "cut" in finding.sentence
-    record, rng = flight(16), np.random.default_rng(0)
-    moved = {name: record[name] for name in ("alpha", "q", "elevator")}
-    calm = {name: x[-1] + 1e-4 * rng.standard_normal(1500) for name, x in moved.items()}
-    found = channel_health([after(moved, FlightRecord.from_arrays("calm", 0.04 * np.arange(1500), calm))], card())
-    (finding,) = [f for f in found if f.fault == "idle"]
-    assert not finding.grave
-    assert finding.begin == pytest.approx(60.0, abs=6.0)
 
 
 def copied(record, name, first=0, last=None, every=1, digits=0.0):
