@@ -31,7 +31,7 @@ IN_SI = {c.name: float(to_si(1.0, c.unit, c.name)) for c in CHANNELS}
 
 @pytest.fixture(autouse=True)
 def short_time_limit(monkeypatch):
-    monkeypatch.setattr("bayes_aero.flight.readers.binary.TIME_LIMIT", 2.0)
+    monkeypatch.setattr("bayes_aero.flight.binary.TIME_LIMIT", 2.0)
 
 
 @pytest.fixture(scope="module")

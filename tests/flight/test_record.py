@@ -11,15 +11,17 @@ import bayes_aero as ba
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import parse_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
-from bayes_aero.flight.checks import MIN_SAMPLES, check_record, resample_record
+from bayes_aero.flight.health.air import proposals
 from bayes_aero.flight.reading import (
+    MIN_SAMPLES,
     at_common_rate,
+    check_record,
     inspect_record,
     manoeuvres,
-    proposals,
     rate_notes,
     read_record,
     read_records,
+    resample_record,
 )
 from bayes_aero.flight.record import FlightRecord, parts_of, segment_of, write_record
 from bayes_aero.units import si_unit
@@ -365,9 +367,9 @@ CASES = {
     "gap": ({"time": T + (np.arange(120) > 70) * 0.2}, ("channel time", "gap", "sample 70 ", "0.24 s", "--split")),
     "jitter": ({"time": put(T, 40, T[40] + 0.002)}, ("channel time", "unevenly", "sample 39 ", "--resample 0.04")),
     "milliseconds": ({"time": T * 1e3}, ("channel time", "40 s", "sample 0 ", 'unit = "ms"')),
-    "days": ({"time": T / 86400}, ("channel time", "sample 0 ", "days")),
+    "days": ({"time": T / 86400}, ("channel time", "sample 0 ", 'unit = "d"')),
     "alpha in degrees": ({"alpha": np.rad2deg(sound()["alpha"])},
-     ("channel alpha", "sample 0 ", "t = 0 s", "looks like degrees", 'unit = "deg"')),
+     ("channel alpha", "sample 0 ", "t = 0 s", "looks like deg", 'unit = "deg"')),
     "theta in degrees": ({"theta": 5 + T}, ("channel theta", "sample 0 ", 'unit = "deg"')),
     "q in degrees per second": ({"q": 6 * np.sin(T)}, ("channel q", "sample 25 ", 'unit = "deg/s"')),
     "fast": ({"airspeed": np.full(120, 450.0)}, ("channel airspeed", "450 m/s", "sample 0 ", '"kt"')),

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import binary_closing, median_filter, uniform_filter1d
 
-from bayes_aero.flight.card import Card
-from bayes_aero.flight.card_tables import ATMOSPHERE, RULES
-from bayes_aero.flight.channel import STANDARD_CHANNELS, UNITS, unit_choices
+from bayes_aero.flight.card import ATMOSPHERE, RULES, Card
+from bayes_aero.flight.channel import unit_choices
 from bayes_aero.flight.health import (
     Findings,
     HealthFinding,
@@ -18,15 +17,15 @@ from bayes_aero.flight.health import (
     declared,
     finding,
     longest,
-    noise_of,
     other_units,
     runs_of,
     shown,
 )
-from bayes_aero.flight.health.kinematics import AGREES, DENSITY0, THIN, thinness
-from bayes_aero.flight.record import FlightRecord
-from bayes_aero.physics.aircraft import AIRCRAFT_UNITS, GAMMA, GAS, GRAVITY, standard_air
-from bayes_aero.units import instant, same_unit, to_si
+from bayes_aero.flight.health.kinematics import DENSITY0, thinness
+from bayes_aero.flight.record import SHORTEST as FEWEST
+from bayes_aero.flight.record import FlightRecord, parts_of
+from bayes_aero.physics.aircraft import GAMMA, GAS, GRAVITY, standard_air
+from bayes_aero.units import instant
 
 # --- A quantity that is a factor away from what other channels make of it, and the unit that would explain the factor.
 
@@ -35,7 +34,6 @@ Limits = tuple[float, float]
 SENSORS: Limits = (0.10, 0.06)  # a departure that no weather and no sensor makes
 DAY: Limits = (0.30, 0.15)  # of the density that no weather makes at a pressure altitude (35 %, some 75 K)
 COLD: Limits = (0.15, 0.10)  # likewise, of the speed of sound at an altitude
-SLOPE: Limits = (1.5, 0.7)  # of a derivative: a factor of 4.5, where degrees for radians are one of 57
 
 
 def _off(k: float, limits: Limits) -> bool:
@@ -79,7 +77,6 @@ class _Ratio:
 # --- Quantities that several channels make together: density, dynamic pressure, Mach number, altitude, weight.
 
 LEAST, MOST = 0.03, 4.5  # lift coefficients between which level flight is flown
-USUAL, MIDDLING = (0.08, 2.5), 0.5  # those that a unit must lead to, to be named: the nearest to the middling one
 THINNEST, THICKEST = 0.05, 1.6  # kg/m3; 22 km, and sea level at -70 degC
 
 
@@ -100,21 +97,6 @@ def air_data(record: FlightRecord, card: Card) -> Findings:
             yield from heights.findings(record, card, unexplained=False)
     if moves and "mach" in have:
         yield from _mach(record, card, view)
-    if (
-        moves
-        and {"calibrated_airspeed", "airspeed"} <= have
-        and (ratio := thinness({name: view[name] for name in have})) is not None
-    ):
-        k, thin = _middle(view["calibrated_airspeed"] / (view["airspeed"] * ratio)), _middle(ratio)
-        if thin < THIN and k > 0.0 and abs(np.log(k * thin)) < 0.01:
-            yield finding(
-                record, "airspeed", "airspeed_kind",
-                "airspeed and calibrated_airspeed are the same numbers, and at this density true airspeed is "
-                f"{1.0 / thin:.3g} times calibrated airspeed; map each to its own column",
-            )  # fmt: skip
-        else:
-            meant = f"true airspeed times the root of density over {DENSITY0} kg/m^3"
-            yield from _Ratio(k, {"calibrated_airspeed": 1}, meant, grave=False).findings(record, card)
     if {"density", "altitude"} <= view.keys() and len(view["density"]):
         yield from _density(record, card, view)
     if moves and "dynamic_pressure" in have:
@@ -159,21 +141,7 @@ def _mach(record: FlightRecord, card: Card, view: Mapping[str, np.ndarray]) -> F
     k = _middle((view["airspeed"] / (view["mach"] * np.maximum(sound, 1.0)))[flying])
     meant = "Mach number times the speed of sound" + ("" if warm else " at the altitude")
     ratio = _Ratio(k, {"airspeed": 1, "mach": -1}, meant, SENSORS if warm else COLD)
-    unit = ratio.findings(record, card, unexplained=False)
-    yield from unit or _as_calibrated(record, k, meant) or (ratio.findings(record, card) if warm else [])
-
-
-def _as_calibrated(record: FlightRecord, k: float, meant: str) -> list[HealthFinding]:
-    """True airspeed that is what calibrated airspeed would be."""
-    ratio = thinness(record.channels)
-    middle = 1.0 if ratio is None else float(np.median(ratio))
-    if not (middle < THIN and _off(k, (AGREES, 0.0))) or abs(np.log(k / middle)) > AGREES:
-        return []
-    sentence = (
-        f"airspeed is {k:.3g} times {meant}, as calibrated airspeed is at this density ({middle:.3g}): true airspeed "
-        "is needed; divide it by the square root of density over 1.225 kg/m^3 in the file, or map the true airspeed"
-    )
-    return [finding(record, "airspeed", "airspeed_kind", sentence)]
+    yield from ratio.findings(record, card, unexplained=warm)
 
 
 def _density(record: FlightRecord, card: Card, view: Mapping[str, np.ndarray]) -> Findings:
@@ -218,21 +186,9 @@ def _dynamic_pressure(record: FlightRecord, card: Card, view: Mapping[str, np.nd
     rests = card.derived.get("density") == "dynamic pressure" and not recorded
     powers = {"dynamic_pressure": 1, **({"density": -1} if recorded else {}), "airspeed": -2}
     ratio = _Ratio(k, powers, "half of density times airspeed squared", limits, True if rests else None)
-    findings = ratio.findings(record, card, unexplained=False)
-    if not findings and _off(k, limits):
-        findings = _as_calibrated(record, k**-0.5, "what dynamic pressure and density make")
-        # Impact pressure, which the pitot tube measures, is larger than dynamic pressure at high Mach number.
-        M = _middle(view["mach"]) if "mach" in view else 0.0
-        impact = ((1.0 + 0.2 * M**2) ** 3.5 - 1.0) / (0.7 * M**2) if M > 0.0 else 1.0
-        if not findings and "mach" in view and abs(np.log(k / impact)) <= 0.04:
-            sentence = (
-                f"dynamic_pressure is {k:.3g} times half of density times airspeed squared, as impact pressure is at "
-                f"Mach {M:.2g}: map the dynamic pressure, or take it off the card"
-            )
-            findings = [finding(record, "dynamic_pressure", "unit", sentence, grave=False)]
-        grave = rests or _off(k, DAY)  # density or airspeed may be what is wrong
-        findings = findings or replace(ratio, grave=grave).findings(record, card)
-    yield from findings
+    named = ratio.findings(record, card, unexplained=False)
+    # Density or airspeed may be what is wrong.
+    yield from named or replace(ratio, grave=rests or _off(k, DAY)).findings(record, card)
 
 
 def _level_flight(record: FlightRecord, card: Card, view: Mapping[str, np.ndarray]) -> Findings:
@@ -242,63 +198,11 @@ def _level_flight(record: FlightRecord, card: Card, view: Mapping[str, np.ndarra
     CL = _middle(mass * GRAVITY / np.maximum(0.5 * view["density"] * view["airspeed"] ** 2 * area, 1e-9))
     if LEAST <= CL <= MOST or not np.isfinite(mass * area):
         return
-    suspects = " or ".join(_suspects(card, CL, rho))
     yield finding(
         record, "airspeed" if THINNEST < rho < THICKEST else "density", "load",
         f"level flight would need a lift coefficient of {CL:.3g} (mass {mass:.4g} kg, wing area {area:.4g} m^2, "
-        f"density {rho:.3g} kg/m^3, airspeed {V:.4g} m/s): "
-        f"{f'looks as if {suspects}' if suspects else 'no one unit explains it'}; correct the unit on the card", None,
+        f"density {rho:.3g} kg/m^3, airspeed {V:.4g} m/s): correct the unit of one of them on the card", None,
     )  # fmt: skip
-
-
-def _suspects(card: Card, CL: float, rho: float) -> Iterator[str]:
-    """What would make a usual lift coefficient if it were in another unit: the density alone where it is no air's."""
-    strange = not THINNEST < rho < THICKEST
-    for name, exponent in ({"density": -1} if strange else {"airspeed": -2, "mass": 1, "wing_area": -1}).items():
-        channel = name in STANDARD_CHANNELS
-        standard = STANDARD_CHANNELS[name].unit if channel else AIRCRAFT_UNITS[name]
-        has, fit = declared(card, name).unit if channel else standard, {}
-        for unit in UNITS[standard]:
-            factor = float(to_si(1.0, unit, name, standard) / to_si(1.0, has, name, standard))
-            made = CL * factor**exponent
-            usual = USUAL[0] < made < USUAL[1] and (name != "density" or THINNEST < rho * factor < THICKEST)
-            if usual and same_unit(unit, has) is False:
-                fit[unit] = abs(np.log(made / MIDDLING))
-        if fit:
-            yield f"{name} were in {min(fit, key=fit.__getitem__)} ({'the card says' if channel else 'taken as'} {has})"
-
-
-# --- Recorded rates of change against the change of what they belong to: q-dot and the derivative of q.
-
-PAIRS = {"p_dot": "p", "q_dot": "q", "r_dot": "r", "alpha_dot": "alpha", "beta_dot": "beta"}
-ALIKE = 0.8  # correlation from which the two are one motion
-
-
-def derivatives(record: FlightRecord, card: Card) -> Findings:
-    """A finding for each recorded derivative in another unit, or of the other sign, than the derivative itself."""
-    width = max(3, round(0.3 / record.dt))  # both are smoothed twice over 0.3 s
-    for name, of in PAIRS.items():
-        if not all(record.has(n) and np.isfinite(record[n]).all() for n in (name, of)) or record.n < 5 * width:
-            continue
-        x, slope = (
-            uniform_filter1d(uniform_filter1d(values, width), width)[width:-width]
-            for values in (record[name], np.gradient(record[of], record.dt))
-        )
-        # Five times the derivative of noise, over a mean of two times `width` samples.
-        least = 5.0 * noise_of(record[of]) / (record.dt * width**1.5)
-        if not (np.std(x) > 0.0 and np.std(slope) > 0.0) or np.std(slope) < least:
-            continue
-        alike, meant = float(np.corrcoef(x, slope)[0, 1]), f"the derivative of {of}"
-        flown = card.linear is not None and name in {*card.linear.states, *card.linear.outputs}
-        if alike <= -ALIKE:
-            yield finding(
-                record, name, "sign",
-                f"{name} counts the other way than {meant} does throughout (correlation {alike:.2g}); write sign = "
-                f"{-declared(card, name).sign} at {name} on the card", grave=flown,
-            )  # fmt: skip
-        elif alike >= ALIKE:
-            ratio = _Ratio(float(np.std(x) / np.std(slope)), {name: 1}, meant, SLOPE, flown)
-            yield from ratio.findings(record, card, unexplained=False)
 
 
 # --- Parts of a record on the ground: no wing carries the aircraft at such a speed.
@@ -324,7 +228,7 @@ def in_flight(record: FlightRecord, card: Card) -> FlightRecord:
     """The longest part of the record that is flown, under the record's name; the record itself if all of it is."""
     edges = [-1, *(i for a, b in grounded(record, card) for i in (a - 1, b)), record.n - 1]
     first, last = longest(zip(edges[::2], edges[1::2], strict=True))
-    if len(edges) == 2 or last - first < 50:  # samples that the other checks need
+    if len(edges) == 2 or last - first < FEWEST:
         return record
     return replace(record.window(record.time[first + 1], record.time[last]), name=record.name)
 
@@ -353,3 +257,66 @@ def grounded(record: FlightRecord, card: Card) -> list[tuple[int, int]]:
     return [
         (a, b) for a, b in runs_of(too_slow) if (b - a) * record.dt >= SHORTEST and np.ptp(height[a : b + 1]) < 15.0
     ]  # fmt: skip
+
+
+# --- The parts of a file that are worth a record of their own: those in flight, and the manoeuvres in them.
+
+WINDOW = 2.0  # s over which a control or a rate must move
+PAUSE = 4.0  # s of rest that divide two manoeuvres
+LEAD = 2.0  # s kept before and after
+BRIEFEST = 3.0  # s of movement that make a manoeuvre
+MOST_OF_A_PART = 0.8  # of a part; a manoeuvre that fills more of it is the part
+MOVES = {"p": 1.0, "q": 0.5, "r": 0.5, "elevator": 0.3, "aileron_left": 0.5, "aileron_right": 0.5, "aileron": 0.5,
+         "rudder": 0.5}  # fmt: skip
+"""Standard deviation over `WINDOW`, deg/s or deg, below which nothing was flown whatever the record's noise."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A part of a file as it is written behind "@", what it is, and its first and last time in s."""
+
+    part: str
+    what: str
+    begin: float
+    end: float
+
+
+def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
+    """Parts to analyse in place of a whole file; none where the file is one flight that is one manoeuvre. The record is
+    the whole file, in SI, unchecked: time may have gaps or start over. The card tells flight from ground."""
+    parts, forward = parts_of(record.time), bool((np.diff(record.time) > 0.0).all())
+    flown: list[tuple[int, int]] = []
+    for a, b in (part for part in parts if part[1] - part[0] >= FEWEST):
+        part = record.part(slice(a, b))
+        known = not part.has("airspeed") or np.isfinite(part["airspeed"]).all()
+        edges = [0, *(i for first, last in (grounded(part, card) if known else ()) for i in (first, last + 1)), part.n]
+        pairs = zip(edges[::2], edges[1::2], strict=True)
+        flown += [(a + first, a + after) for first, after in pairs if after - first >= FEWEST]
+    found = [] if flown == [(0, record.n)] else [(a, b, "in flight") for a, b in flown]
+    for a, b in flown if forward else ():
+        moved = [(a + first, a + after) for first, after in _manoeuvres(record.part(slice(a, b)))]
+        if len(moved) > 1 or (moved and moved[0][1] - moved[0][0] < MOST_OF_A_PART * (b - a)):
+            found += [(first, after, "manoeuvre") for first, after in moved]
+    proposed = []
+    for a, b, what in found:
+        begin, end = float(record.time[a]), float(record.time[b - 1])
+        times = f"{instant(begin)}:{instant(end)}"
+        proposed.append(
+            Proposal(times if forward or (a, b) not in parts else f"#{parts.index((a, b)) + 1}", what, begin, end)
+        )
+    return tuple(proposed)
+
+
+def _manoeuvres(part: FlightRecord) -> list[tuple[int, int]]:
+    """Where controls or rates move, with some seconds before and after: first sample, and the one behind."""
+    size, moving = max(round(WINDOW / part.dt), 3), np.zeros(part.n, bool)
+    for name, least in MOVES.items():
+        if part.has(name) and np.isfinite(part[name]).all():
+            mean = uniform_filter1d(part[name], size)
+            spread = np.sqrt(np.maximum(uniform_filter1d((part[name] - mean) ** 2, size), 0.0))
+            moving |= spread > max(np.deg2rad(least), 4.0 * float(np.quantile(spread, 0.1)))  # the quiet tenth
+    pause, lead = max(round(PAUSE / part.dt), 1), max(round(LEAD / part.dt), 1)
+    moving, kept = binary_closing(np.pad(moving, pause), np.ones(pause))[pause:-pause], np.zeros(part.n, bool)
+    for a, b in runs_of(moving):
+        kept[max(a - lead, 0) : b + lead + 1] |= (b - a) * part.dt >= BRIEFEST
+    return [(a, b + 1) for a, b in runs_of(kept) if b + 1 - a >= FEWEST]

@@ -30,7 +30,7 @@ from bayes_aero.flight.health import (
     still_runs,
     when,
 )
-from bayes_aero.flight.health.air import air_data, derivatives, in_flight, on_ground
+from bayes_aero.flight.health.air import air_data, in_flight, on_ground
 from bayes_aero.flight.health.controls import TURNS, answers_no_input, answers_unmoved, control_responses, feedback
 from bayes_aero.flight.health.kinematics import dead_heading, rates_of, refuted, view_of
 from bayes_aero.flight.record import FlightRecord
@@ -211,7 +211,6 @@ def _stuck(record: FlightRecord, rates: dict[str, np.ndarray], name: str, runs: 
 
 FEWEST, SLOWEST = 20, 100  # changes of a channel that a pattern needs; samples between changes at most
 ALIKE = 0.9  # share of the changes that follow the pattern
-CORNERS = 10  # between straight lines that a pattern needs
 LINES = 15  # that do not fit halfway between knots, at least
 STRAIGHT = 1e-3  # of the bend at a corner that a straight line may have
 FAST = frozenset(
@@ -263,29 +262,13 @@ def _spacing(at: Sequence[int] | np.ndarray) -> tuple[np.ndarray, float, np.ndar
     return lengths, middle, order, np.abs(lengths / order - middle)
 
 
-def interpolated_period(x: np.ndarray) -> float:
-    """Samples between the corners of a signal that is made of straight lines; zero if it is not."""
-    bends = np.abs(np.diff(x, 2))
-    if len(bends) < 4 * FEWEST or not bends.any():
-        return 0.0
-    period, step, large = _between_knots(x), quantum(x), float(np.sort(bends)[-CORNERS])
-    # Corners may lie between samples where their bends are clear of rounding.
-    if period or large <= 30.0 * step or len(still_runs(x)) > 0.1 * len(x):
-        return float(period)
-    bent = bends > max(STRAIGHT * large, 2.5 * step)  # second differences of a rounded line reach two steps
-    corners = [first for first, _ in runs_of(bent)]
-    if len(corners) <= CORNERS or bent.sum() > 2.1 * len(corners):  # two samples, where a corner falls between them
-        return 0.0
-    lengths, middle, order, off = _spacing(corners)  # a corner may be too flat to be seen
-    regular = middle >= 6.0 and np.mean(off <= 1.0) >= ALIKE and np.mean(order == 1.0) >= 0.5  # 6: no chance
-    return float(lengths.sum() / order.sum()) if regular else 0.0
-
-
-def _between_knots(x: np.ndarray) -> int:
+def interpolated_period(x: np.ndarray) -> int:
     """The largest whole period of straight lines between every so many of (n,) values; zero where there is none.
     Rounding moves no sample by more than a step from the line between two others: samples lie that near the lines
     between knots, and further from those between the samples halfway. By chance `LINES` lines are all of the second
     kind once in 2 to the power of `LINES`. Knots between samples are not sought."""
+    if len(x) < 4 * FEWEST or not np.diff(x, 2).any():
+        return 0
     best, step = 0, quantum(x)
 
     def off_lines(first: int, period: int) -> np.ndarray:
@@ -399,7 +382,7 @@ def wrapped(record: FlightRecord, _card: Card) -> Findings:
 
 # --- Every check of a record.
 
-_CHECKS = (air_data, derivatives, dropouts, frozen, held, saturated, quantised, wrapped, short, decided)
+_CHECKS = (air_data, dropouts, frozen, held, saturated, quantised, wrapped, short, decided)
 
 
 def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthFinding, ...]:

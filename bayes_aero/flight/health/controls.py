@@ -20,7 +20,6 @@ SLOW = 3.0  # s: trim and speed change more slowly and are taken out
 WHOLE = 4.0 * SLOW  # s that a fit takes
 MOVED = np.deg2rad(0.1)  # rad that a surface must move, standard deviation of its fast part
 SURE = 5.0  # standard errors, of the wrong sign
-LONGEST_REST = 5.0  # s; pilots hold a surface for 1 to 4 s
 PAIR = ("aileron_right", "aileron_left")
 TURNS = {
     "elevator": ("elevator", "elevator_left", "elevator_right", "elevon_left", "elevon_right", "stabilizer", "canard"),
@@ -63,43 +62,36 @@ LATERAL = (
 
 
 def control_responses(record: FlightRecord, card: Card) -> Findings:
-    """Findings where an angular acceleration answers a positive deflection the wrong way."""
+    """Findings where an angular acceleration, fitted over the surface and the motion, answers a positive deflection the
+    wrong way."""
     for control in (ELEVATOR, *(LATERAL if Axis.LATERAL in card.axes else ())):
-        fit, surface = _fitted(control, record), control.surface
-        if fit is None or fit.response < max(SURE * fit.error, 0.3):  # no surface that flies an aircraft does less
+        surface, deflection = control.surface, _deflection(control.surface, record)
+        if deflection is None or not all(map(record.has, control.beside)) or record.n * record.dt < WHOLE:
+            continue
+        signals = [_banded(x, record.dt) for x in (deflection, *(record[name] for name in control.beside))]
+        rows, slope = np.stack([*signals, np.ones(record.n)], axis=1), np.gradient(signals[1], record.dt)
+        # Samples of smoothed signals repeat each other: one in a smoothing length counts.
+        counted = record.n * record.dt / (3.0 * SMOOTH)
+        fit, *_ = np.linalg.lstsq(rows, slope, rcond=None)
+        usual = np.mean((slope - rows @ fit) ** 2) * record.n / max(counted - rows.shape[1], 1.0)
+        error = float(np.sqrt(usual * max(np.linalg.pinv(rows.T @ rows)[0, 0], 0.0)))
+        if signals[0].std() < MOVED or fit[0] < max(SURE * error, 0.3):  # no surface that flies an aircraft does less
             continue
         mend = f"so {' and '.join(PAIR)} are swapped, or the file counts trailing edge up; correct them on the card"
         if record.has(surface):
             sign = -declared(card, surface).sign
             mend = f"so if the file counts {control.otherwise} write sign = {sign} at {surface} on the card"
-        sentence = f"{surface}: {control.answer} with it ({fit.response:+.2g} 1/s^2 a rad); {control.rule}, {mend}"
+        sentence = f"{surface}: {control.answer} with it ({fit[0]:+.2g} 1/s^2 a rad); {control.rule}, {mend}"
         yield finding(record, surface, "sign", sentence)
 
 
 def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
-    """Whether the aircraft turns in a run of samples as if a surface moved that stands still there: the angular
-    acceleration, fitted where the surface moves, must miss what only a deflection of 0.3 deg makes, in flight that is
-    less than the fitted range beyond it. An aileron or a rudder is not told where less than about 8 s are left in which
-    it moves: gusts roll and yaw an aircraft, too."""
-    control = next((c for c in (ELEVATOR, *LATERAL) if name in TURNS[c.surface]), None)
-    seconds = (run[1] - run[0]) * record.dt
-    if control is None or seconds < LONGEST_REST:
+    """Whether the aircraft pitches in a run of samples as if the first elevator that stands still there had moved."""
+    if name not in TURNS["elevator"] or (run[1] - run[0]) * record.dt < WHOLE:
         return False
-    if control is ELEVATOR and seconds >= WHOLE:
-        part = record.window(record.time[run[0]], record.time[run[1]])
-        first = next((n for n in TURNS[ELEVATOR.surface] if part.has(n) and n not in _deflected(part)), None)
-        if name == first and answers_no_input(part):
-            return True
-    if (fit := _fitted(control, record, (name, *run))) is None:
-        return False
-    low, high = np.quantile(fit.rows[fit.used], [0.01, 0.99], axis=0)
-    seen = np.all((fit.rows >= 2.0 * low - high) & (fit.rows <= 2.0 * high - low), axis=1)
-    seen[: run[0]] = seen[run[1] + 1 :] = False
-    if seen.sum() * record.dt < LONGEST_REST or not abs(fit.response) > 3.0 * fit.error:
-        return False
-    missed = float(np.sqrt(np.mean(fit.left[seen] ** 2)))
-    leverage = float(np.mean(np.sum(fit.rows[seen] @ fit.spread * fit.rows[seen], axis=1)))
-    return bool(missed > max(2.0 * fit.usual * np.sqrt(1.0 + leverage), np.deg2rad(0.3) * abs(fit.response)))
+    part = record.window(record.time[run[0]], record.time[run[1]])
+    still = (n for n in TURNS["elevator"] if part.has(n) and n not in _deflected(part))
+    return name == next(still, None) and answers_no_input(part)
 
 
 def answers_no_input(record: FlightRecord) -> bool:
@@ -123,47 +115,6 @@ def answers_no_input(record: FlightRecord) -> bool:
     return False
 
 
-class _Fit(NamedTuple):
-    """Angular acceleration over a surface and the motion."""
-
-    rows: np.ndarray  # regressors
-    left: np.ndarray  # what they miss, rad/s2
-    used: np.ndarray  # samples that it was fitted to
-    response: float  # to the surface, 1/s2 a rad
-    error: float  # standard error of that
-    usual: float  # what is usually left
-    spread: np.ndarray  # covariance of the fit over the square of that
-
-
-def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, int] | None = None) -> _Fit | None:
-    """The fit to all samples, or to those `outside` a run in which a surface about the axis stands still."""
-    surface = control.surface if outside is None or outside[0] in PAIR else outside[0]
-    deflection = _deflection(surface, record)
-    if deflection is None or not all(map(record.has, control.beside)) or record.n * record.dt < WHOLE:
-        return None
-    signals = [_banded(x, record.dt) for x in (deflection, *(record[name] for name in control.beside))]
-    if signals[0].std() < MOVED:
-        return None
-    slope, used = np.gradient(signals[1], record.dt), np.ones(record.n, bool)
-    if outside is not None:
-        axes = ("elevator",) if control is ELEVATOR else ("aileron", "rudder")
-        beside = {n for axis in axes for n in TURNS[axis]} - {surface, *(PAIR if surface == "aileron" else ())}
-        signals += [_banded(record[n], record.dt) for n in _deflected(record) if n in beside]
-        edge = round(0.5 * (SLOW + SMOOTH) / record.dt) + 1  # the means over these samples mix both
-        used[max(outside[1] - edge, 0) : outside[2] + edge + 1] = False
-    rows = np.stack([*signals, np.ones(record.n)], axis=1)
-    # Samples of smoothed signals repeat each other: one in a smoothing length counts.
-    independent = used.sum() * record.dt / (3.0 * SMOOTH) - rows.shape[1]
-    if outside is not None and independent < 3.0:
-        return None
-    fit, *_ = np.linalg.lstsq(rows[used], slope[used], rcond=None)
-    left = slope - rows @ fit
-    counted = independent + rows.shape[1]
-    usual = float(np.sqrt(np.mean(left[used] ** 2) * counted / max(independent, 1.0)))
-    spread = np.linalg.pinv(rows[used].T @ rows[used]) * used.sum() / counted
-    return _Fit(rows, left, used, float(fit[0]), usual * float(np.sqrt(max(spread[0, 0], 0.0))), usual, spread)
-
-
 def _deflected(record: FlightRecord) -> list[str]:
     """Surfaces that move by enough to turn the aircraft somewhere in the record."""
     there = [n for names in TURNS.values() for n in names if record.has(n)]
@@ -171,14 +122,12 @@ def _deflected(record: FlightRecord) -> list[str]:
     return [n for n in there if size[n] > MOVED]
 
 
-# --- Feedback. Shares are our choice: on recorded manoeuvres of three aircraft the surface that is flown has more than
-# 0.02 of its own motion, 4 times its noise or more; simulated laws miss 0.01 of the fast motion at limits, and with a
-# pilot's steps a law misses 0.4 at least.
+# --- Feedback.
 
-OWN, NOTHING = 0.05, 1e-3  # share of a surface's motion that must be its own where it is above noise, and at all
-AT_LIMITS = 0.1  # largest share of the fast motion at limits that a law with these limits may miss
+OWN, NOTHING = 0.05, 1e-3
+"""Share of a surface's motion that must be its own where it is above noise, and at all. Our choice: on recorded
+manoeuvres of three aircraft the surface that is flown has more than 0.02 of its own, 4 times its noise or more."""
 CANCELS = 4.0  # times the motion: outputs that each make more, against each other, are no law
-EDGE = 0.05  # share of a surface's range, next to its extremes, where it may be at a limit
 
 
 def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
@@ -207,7 +156,7 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
 
 def law_of(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str] | None:
     """The outputs that a surface follows (none where it has its own motion) and how much of its motion is left; None
-    where it drifts or decays at most, or the record is too short. Integrals and limits are tried where they must be."""
+    where it drifts or decays at most, or the record is too short. Integrals are tried where they must be."""
     u, dt = _deflection(surface, record), record.dt
     recorded = [n for n in dict.fromkeys((*OUTPUTS, *(card.linear.states if card.linear else ()))) if record.has(n)]
     moved = [n for n in recorded if np.ptp(record[n]) > 0.0 and not noise_alone(record[n])]
@@ -226,59 +175,42 @@ def law_of(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], s
     moving = _mean(u, SMOOTH / dt)[_inside(u, dt)]
     if not len(moving) or np.ptp(moving) <= 1e-9 * np.ptp(u):
         return None  # too short, or it moves at an end of the record alone
-    judged = False
-    for limits in (None, _limits(u, dt)):
-        free = np.ones(record.n, bool) if limits is None else limits[3]
-        room = free.sum() * dt / SMOOTH / 5.0 - 2.0  # columns, of which each needs five smoothing lengths
-        if len(outputs) > room or np.std(moving[free[_inside(u, dt)]]) < 0.25 * np.std(moving):
+    room = record.n * dt / SMOOTH / 5.0 - 2.0  # columns, of which each needs five smoothing lengths
+    _, share, within = _followed(u, np.zeros((0, record.n)), dt, SLOW)
+    if len(outputs) > room or share < NOTHING or within:  # time alone explains it
+        return None
+    for columns in laws:
+        if len(columns) > room:
             break
-        _, share, within, _ = _followed(u, np.zeros((0, record.n)), dt, SLOW, limits)
-        if share < NOTHING or within:  # time alone explains it
-            break
-        for columns in laws:
-            if len(columns) > room:
-                break
-            made, share, within, missed = _followed(u, np.array([x for _, x in columns]), dt, 0.5, limits)
-            judged = True
-            sizes = [(n, size) for (n, _), size in zip(columns, made, strict=True) if n]
-            most = max(size for _, size in sizes)
-            if (share < NOTHING or (share < OWN and within)) and missed < AT_LIMITS and most < CANCELS:
-                names = dict.fromkeys(n for n, size in sizes if size > 0.1 * most)
-                return [*names], f"{share:.1%} of its motion{'' if limits is None else ' between its limits'}"
-    return ([], "") if judged else None
-
-
-_Limits = tuple[float, float, float, np.ndarray]
-"""Least and largest deflection, rad, largest rate, rad/s, and the samples that are well within them."""
-
-
-def _limits(u: Float[np.ndarray, " n"], dt: float) -> _Limits:
-    """The limits that a surface has if its extremes are limits."""
-    half = max(1, round(0.05 / dt))
-    padded = np.pad(u, half, mode="edge")
-    rate = (padded[2 * half :] - padded[: -2 * half]) / (2 * half * dt)
-    (low, high), fast = np.quantile(u, [0.01, 0.99]), float(np.quantile(np.abs(rate), 0.98))
-    edge = EDGE * (high - low)
-    within = (u > low + edge) & (u < high - edge) & (np.abs(rate) < (1.0 - 2.0 * EDGE) * fast)
-    return float(low), float(high), fast, _mean(within.astype(float), SMOOTH / dt) > 1.0 - 1e-9
+        made, share, within = _followed(u, np.array([x for _, x in columns]), dt, 0.5)
+        sizes = [(n, size) for (n, _), size in zip(columns, made, strict=True) if n]
+        most = max(size for _, size in sizes)
+        if (share < NOTHING or (share < OWN and within)) and most < CANCELS:
+            names = dict.fromkeys(n for n, size in sizes if size > 0.1 * most)
+            return [*names], f"{share:.1%} of its motion"
+    return [], ""
 
 
 def _followed(
-    u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt: float, most: float, limits: _Limits | None
-) -> tuple[np.ndarray, float, bool, float]:
-    """The best law of outputs behind a lag of at most `most` s and a delay, fitted to the samples within limits: the
-    motion that each regressor makes over the surface's (standard deviations), the share of the surface's motion (a
-    variance) that is left and whether that is no more than noise, and the share of the fast motion at limits that a law
-    with these limits misses."""
+    u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt: float, most: float
+) -> tuple[np.ndarray, float, bool]:
+    """The best law of outputs behind a lag of at most `most` s and a delay: the motion that each regressor makes over
+    the surface's (standard deviations), the share of the surface's motion (a variance) that is left, and whether that
+    is no more than noise."""
     window, inside = SMOOTH / dt, _inside(u, dt)
     # Noise of a regressor makes its weight too small: the law is fitted to what is smoothed.
     rows = np.concatenate([columns, [np.linspace(0.0, 1.0, len(u))], np.ones((1, len(u)))])
     slow, target = np.array([_mean(x, window)[inside] for x in rows]), _mean(u, window)[inside]
-    free = np.ones(len(target), bool) if limits is None else limits[3][inside]
 
     def law(lag: float, delay: int) -> tuple[np.ndarray, np.ndarray]:
-        late, own = _late(slow[:, : slow.shape[1] - delay], target[delay:], free[delay:], lag, dt)
-        late, own = late[:, free[delay:]], (target[delay:] - own)[free[delay:]]
+        # Behind a lag of first order, y - pole y(one earlier) = (1 - pole) x, from the surface's first position, as a
+        # banded system: `scipy.signal` is slow to load, and `check` needs this.
+        x, n = slow[:, : slow.shape[1] - delay], slow.shape[1] - delay
+        pole, first = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0, np.arange(n) == 0
+        bands = np.array([np.ones(n), np.append(np.full(n - 1, -pole), 0.0)])
+        driven = np.concatenate([np.where(first, 0.0, (1.0 - pole) * x), [np.where(first, target[delay], 0.0)]])
+        *late, own = solve_banded((1, 0), bands, driven.T, check_finite=False).T
+        late, own = np.array(late), target[delay:] - own
         weights = np.linalg.lstsq(late @ late.T, late @ own, rcond=None)[0]
         return weights, own - weights @ late
 
@@ -286,44 +218,18 @@ def _followed(
     for delay in (round(d / dt) for d in (0.0, 0.1, 0.2)):
         best = fminbound(lambda lag, d=delay: float(np.var(law(lag, d)[1])), 0.0, most, xtol=1e-3)
         tried += [(float(np.var(law(lag, delay)[1])), lag, delay) for lag in (0.0, float(np.ravel(best)[0]))]
-    _, lag, delay = min(tried)
-    weights, left = law(lag, delay)
+    weights, left = law(*min(tried)[1:])
     # A lag takes noise of the outputs out of fast differences, not out of what is left: it is counted before the lag.
     made = np.abs(weights[: len(columns)])
     noise = float(np.hypot(noise_of(u), np.linalg.norm(made * [noise_of(x) for x in columns])))
-    missed = 0.0
-    if limits is not None and not free.all():
-        asked = np.concatenate([np.full(delay, u[0]), (weights @ rows)[: len(u) - delay]])
-        # from the surface's first position, it follows what is asked for behind the lag, within the limits
-        share, step, at = 1.0 if lag <= 1e-3 * dt else 1.0 - np.exp(-dt / lag), limits[2] * dt, [u[0]]
-        for goal in asked:
-            to = at[-1] + min(max((goal - at[-1]) * share, -step), step)
-            at.append(min(max(to, limits[0]), limits[1]))
-        whole = _mean(np.array(at[1:]), window)[inside]
-        fast = [(x - _mean(x, SLOW / dt))[~free] for x in (target, target - whole)]
-        missed = float(np.mean(fast[1] ** 2) / np.mean(fast[0] ** 2))
-    own = float(np.std(left))
-    within = bool(own < 2.0 * noise / np.sqrt(window))
-    made = made * columns.std(axis=1) / float(np.std(target))
-    return made, (own / float(np.std(target[free]))) ** 2, within, missed
+    own, moves = float(np.std(left)), float(np.std(target))
+    return made * columns.std(axis=1) / moves, (own / moves) ** 2, bool(own < 2.0 * noise / np.sqrt(window))
 
 
 def _inside(u: np.ndarray, dt: float) -> slice:
     """Samples whose mean over `SMOOTH` does not reach beyond the ends of the record."""
     edge = round(SMOOTH / dt)
     return slice(edge, len(u) - edge)
-
-
-def _late(
-    x: Float[np.ndarray, "k n"], u: Float[np.ndarray, " n"], free: np.ndarray, lag: float, dt: float
-) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"]]:
-    """Signals behind a lag of first order, and what the surface's own position adds, where it begins and at limits."""
-    pole, held = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0, ~free | (np.arange(len(u)) == 0)
-    # y - pole y(one earlier) = (1 - pole) x as a banded system: `scipy.signal` is slow to load, and `check` needs this.
-    bands = np.array([np.ones(len(u)), np.append(np.where(held[1:], 0.0, -pole), 0.0)])
-    driven = np.concatenate([np.where(held, 0.0, (1.0 - pole) * x), [np.where(held, u, 0.0)]])
-    *late, own = solve_banded((1, 0), bands, driven.T, check_finite=False).T
-    return np.array(late), own
 
 
 def _deflection(surface: str, record: FlightRecord) -> Float[np.ndarray, " n"] | None:

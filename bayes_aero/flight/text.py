@@ -1,4 +1,4 @@
-"""Text tables: columns of numbers with or without a header, cells between blanks, tabs, commas, semicolons or pipes."""
+"""What all file formats share - columns, their values, those that a card names - and text tables, a format itself."""
 
 from __future__ import annotations
 
@@ -6,19 +6,142 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.channel import ALIASES, split_heading
-from bayes_aero.flight.readers import FileColumn, Heading, OpenedFile, foreign
+from bayes_aero.flight.channel import ALIASES, Channel, split_heading
 from bayes_aero.units import spellings
+
+MAX_VALUES = 20_000_000  # most samples that one channel may have; held against the file's header before memory is taken
+MOST_VALUES_IN_ALL = 100_000_000  # of all channels together: 0.8 GB; a compressed file of some kB can claim any number
+MOST_HEADINGS = 20_000  # most columns: an autopilot's log has thousands; searching among millions would take hours
+
+
+class FileColumn(NamedTuple):
+    """One channel as in the file: (n,) values in the file's unit, NaN where it has none, and the unit it states."""
+
+    values: np.ndarray
+    unit: str | None = None
+
+
+@dataclass(frozen=True)
+class Heading:
+    """One column of a file before its values are read."""
+
+    names: tuple[str, ...] = ()  # as in the file; none without a header, several with more than one row of names
+    column: int | None = None  # its number on a card, counted from 1; None where it goes by its name alone
+    unit: str | None = None  # that the file states beside the name
+    formed: bool = False  # the name was formed by the reader, "data(:,3)": a card's number counts beside any label
+
+
+@dataclass(frozen=True)
+class OpenedFile:
+    """A file whose columns are known, of one length, and whose values are still to be read. `read` gives those of some
+    headings, each under the name of the channel that it was taken for; NaN at samples that a column of several rates
+    lacks. `kind`: what a column is called there. `remarks`: how the file was understood; reading may add to them."""
+
+    headings: Sequence[Heading]
+    read: Callable[[Mapping[str, Heading]], dict[str, FileColumn]]
+    kind: str = "variable"
+    remarks: list[str] = field(default_factory=list)
+
+
+def candidates(channel: Channel, headings: Sequence[Heading]) -> list[Heading]:
+    """The headings of a channel's name; else its number, unless the card has a label that names none."""
+    numbered = (h for h in headings if h.column == channel.column is not None)
+    return [h for h in headings if channel.heading in h.names] or [
+        h for h in numbered if channel.label is None or not h.names or h.formed
+    ][-1:]
+
+
+def located(channels: Sequence[Channel], opened: OpenedFile) -> dict[str, Heading]:
+    """The heading of each channel, see `candidates`. A required one must be there, and none may be twice."""
+    headings, kind, places = opened.headings, opened.kind, {}
+    if len(headings) > MOST_HEADINGS:
+        raise InputError(f"it has {len(headings)} {kind}s, more than {MOST_HEADINGS}; is it a flight record?")
+    for channel in channels:
+        there = candidates(channel, headings)
+        if len(there) > 1:
+            twice = f"{len(there)} {kind}s are called {channel.heading!r}; rename all but one"
+            raise InputError(f"channel {channel.name}: {twice}")
+        if not there and channel.required:
+            raise InputError(f"channel {channel.name}{_absent(channel, headings, kind)}")
+        places |= {channel.name: there[0]} if there else {}
+    return places
+
+
+def _absent(channel: Channel, headings: Sequence[Heading], kind: str) -> str:
+    """Why a required channel is not there, and what to do."""
+    names = list(dict.fromkeys(name for heading in headings for name in heading.names))
+    if not names and channel.column is None:
+        return " has no column number on the card, and the file has no header; add column = N, or write a header line"
+    if not names:
+        count = sum(heading.column is not None for heading in headings)
+        return f" is column {channel.column} on the card, but the file has {count} columns; correct the column"
+    folded = {name.casefold(): name for name in names}
+    close = [repr(folded[name]) for name in get_close_matches(channel.heading.casefold(), folded, n=3, cutoff=0.5)]
+    hint = f"did you mean {' or '.join(close)}?"
+    if not close:
+        listed = [repr(name[:40]) for name in names[:15]] + ["..."] * (len(names) > 15)
+        hint = f"the file has {', '.join(listed)};"
+    return f": no {kind} is called {channel.heading!r}; {hint} correct its label on the card, or set required = false"
+
+
+def refuse_huge(name: str, heading: str, size: float, channels: int) -> None:
+    """Hold what a header claims for one of so many `channels` against what a record can have."""
+    if size > MAX_VALUES or size * channels > MOST_VALUES_IN_ALL:
+        raise InputError(
+            f"channel {name} ({heading!r}) claims {size:.0f} samples, more than {MAX_VALUES}, or than "
+            f"{MOST_VALUES_IN_ALL} in {channels} channels; is the file damaged? Otherwise cut the record"
+        )
+
+
+def vector(values: np.ndarray, name: str) -> np.ndarray:
+    """A numeric array as a float64 vector; row and column vectors are flattened."""
+    if values.dtype.kind not in "fiub":
+        raise InputError(f"channel {name} holds {values.dtype} where numbers should be; store it as plain numbers")
+    if values.size > MAX_VALUES:
+        raise InputError(f"channel {name} claims {values.size} samples, more than {MAX_VALUES}; cut the record")
+    if values.ndim != 1 and values.size != max(values.shape, default=1):
+        raise InputError(f"channel {name} has shape {values.shape} where one value a sample should be; split it up")
+    return values.astype(np.float64).reshape(-1)
+
+
+@contextmanager
+def foreign(kind: str) -> Iterator[None]:
+    """Turn whatever a foreign parser throws at a damaged file, KeyError to zlib.error, into one sentence."""
+    try:
+        yield
+    except InputError:
+        raise
+    except MemoryError as reason:
+        raise InputError(
+            f"it claims more data than there is memory for; is it damaged? Write the {kind} again"
+        ) from reason
+    except Exception as reason:
+        why = " ".join(str(reason).split())[:120] or type(reason).__name__
+        raise InputError(f"it is not a readable {kind} ({why}); is it damaged or misnamed? Write it again") from reason
+
+
+# --- Text tables: cells between blanks, tabs, commas, semicolons or pipes.
 
 MOST_LINES, LONGEST_LINE = 5_000_000, 200_000
 """Far beyond any record; each line costs some hundred bytes of memory beside its own."""
+CELL = "\x1f"  # between the cells of lines that were quoted: ASCII's own separator, which no text holds
+SEPARATORS = (";", "\t", "|", CELL, ",", None)  # None: blanks; of two that fit alike the first is taken
+LOOKED_AT = 40  # lines, spread over the lower part of the file
+MOST_HEADER_ROWS = 4
+_SEP_LINE = re.compile(r'"?sep=.?"?[;,\t]*', re.IGNORECASE)
+_COMMENT = "#%"
+NO_DATA = "it holds no data, only blank lines, comments or separators; write the record again"
+
+Lines = list[tuple[int, str]]  # lines of a file, each with its number, counted from 1
 
 
 def open_text(data: bytes) -> OpenedFile:
@@ -27,13 +150,10 @@ def open_text(data: bytes) -> OpenedFile:
     return text_table(laid_out(lines, separator_of(lines)))
 
 
-READS = dict.fromkeys((".asc", ".txt", ".dat", ".csv", ".tsv"), open_text)
-
-
 def text_table(layout: Layout, remarks: Iterable[str] = ()) -> OpenedFile:
     """A laid-out table whose cells are still text."""
-    said = [*remarks, *layout.remarks]
-    return OpenedFile(layout.headings, lambda wanted: read_cells(layout, wanted, said), "column", said)
+    remarks = [*remarks, *layout.remarks]
+    return OpenedFile(layout.headings, lambda wanted: read_cells(layout, wanted, remarks), "column", remarks)
 
 
 def read_cells(layout: Layout, wanted: Mapping[str, Heading], remarks: list[str]) -> dict[str, FileColumn]:
@@ -44,9 +164,7 @@ def read_cells(layout: Layout, wanted: Mapping[str, Heading], remarks: list[str]
         return {}
     if layout.separator == "," or not any("," in row for row in rows):  # plain numbers: NumPy's own parser
         try:
-            values = np.loadtxt(
-                rows, delimiter=layout.separator, usecols=indices, ndmin=2, comments=None, dtype=np.float64
-            )
+            values = np.loadtxt(rows, delimiter=layout.separator, usecols=indices, ndmin=2, comments=None)
             return {name: FileColumn(values[:, k], h.unit) for k, (name, h) in enumerate(wanted.items())}
         except (ValueError, IndexError):
             pass  # blanks, clock times, other marks than a decimal point, or text: cell by cell
@@ -54,17 +172,15 @@ def read_cells(layout: Layout, wanted: Mapping[str, Heading], remarks: list[str]
     cells = {name: [row[i].strip() for row in split] for name, i in zip(wanted, indices, strict=True)}
     firsts = {name: next((cell for cell in column if not is_blank(cell)), "") for name, column in cells.items()}
     clocks = {name for name, first in firsts.items() if looks_like_clock(first)}
-    marks = marks_of(cell for name, column in cells.items() if name not in clocks for cell in column)
-    columns = {}
+    marks, columns = marks_of(cell for name, x in cells.items() if name not in clocks for cell in x), {}
     for name, column in cells.items():
         clock, heading, values, sample, remark = name in clocks, wanted[name], np.full(len(column), np.nan), 0, ""
         filled = [k for k, cell in enumerate(column) if not is_blank(cell)]
         try:
             for sample in filled:
-                if not clock:
-                    values[sample] = number_of(column[sample], marks)
-                elif not looks_like_clock(column[sample]):
+                if clock and not looks_like_clock(column[sample]):
                     raise ValueError
+                values[sample] = 0.0 if clock else number_of(column[sample], marks)
             if clock:
                 values[filled] = seconds([column[k] for k in filled])
                 remark = f"channel {name}: the clock time {firsts[name]} is t = 0"
@@ -99,15 +215,12 @@ def _lines(data: bytes) -> Lines:
     if count > MOST_LINES:
         raise InputError(f"it has {count} lines, more than {MOST_LINES}; cut it to the manoeuvre")
     rows = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    longest = max(rows, key=len)
-    if len(longest) > LONGEST_LINE:
-        number = rows.index(longest) + 1
-        raise InputError(
-            f"line {number} has {len(longest)} characters, more than {LONGEST_LINE}; is it a table at all?"
-        )
+    size, number = max((len(row), k) for k, row in enumerate(rows, 1))
+    if size > LONGEST_LINE:
+        raise InputError(f"line {number} has {size} characters, more than {LONGEST_LINE}; is it a table at all?")
     lines = [(number, row.strip(" ")) for number, row in enumerate(rows, 1) if row and not row.isspace()]
-    if not any(line[0] not in "#%" for _, line in lines):
-        raise InputError("it holds no data, only blank lines or comments; write the record again")
+    if all(line[0] in _COMMENT for _, line in lines):
+        raise InputError(NO_DATA)
     return lines
 
 
@@ -115,18 +228,6 @@ def _lines(data: bytes) -> Lines:
 # Loggers write a preamble above the header, one or two rows of names, a row of units, or none of these. The samples
 # are what repeats: they are looked for first, in the lower part of the file, and the header is what stands above
 # them.
-
-T = TypeVar("T")
-
-CELL = "\x1f"  # between the cells of lines that were quoted: ASCII's own separator, which no text holds
-SEPARATORS = (";", "\t", "|", CELL, ",", None)  # None: blanks; of two that fit alike the first is taken
-LOOKED_AT = 40  # lines, spread over the lower part of the file
-MOST_HEADER_ROWS = 4
-UNIT_SHARE = 1.0 / 3.0  # of the cells of a row below the names that are known units: more, and it is a row of units
-_SEP_LINE = re.compile(r'"?sep=.?"?[;,\t]*', re.IGNORECASE)
-_COMMENT = "#%"
-
-Lines = list[tuple[int, str]]  # lines of a file, each with its number, counted from 1
 
 
 @dataclass(frozen=True)
@@ -148,8 +249,7 @@ def separator_of(lines: Lines) -> str | None:
         width, count = Counter(len(row) for row in rows).most_common(1)[0]
         if width < 2 and separator is not None:
             continue
-        cells = [cell for row in rows if len(row) == width for cell in row if not is_blank(cell)]
-        values = sum(map(is_value, cells)) / max(len(cells), 1)
+        values = value_share([cell for row in rows if len(row) == width for cell in row])
         score = count / len(rows) * values * (0.99 if separator is None else 1.0)
         if score > most + 1e-9:
             best, most = separator, score
@@ -171,8 +271,7 @@ def split(line: str, separator: str | None, number: int | None = None) -> list[s
         cells = [cell.strip() for cell in next(reader)]
         if reader.line_num > 1 and number is not None:  # it went on, to look for the end of a cell
             raise InputError(
-                f"line {number} has a quote that is not closed; close it (no cell goes on in the next line), or write "
-                "the record without quotes"
+                f"line {number} has a quote that is not closed; close it (no cell goes on in the next line)"
             )
     return cells
 
@@ -183,7 +282,7 @@ def laid_out(lines: Lines, separator: str | None) -> Layout:
     while lines and not lines[-1][1].strip(" \t,;|\x1f"):
         lines = lines[:-1]  # rows of separators at the end
     if not lines:
-        raise InputError("it holds no data, only blank lines or separators; write the record again")
+        raise InputError(NO_DATA)
     rows = _lower_part([split(line, separator) for _, line in lines if line[0] not in _COMMENT])
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
     valued = [k for k in range(width) if value_share([row[k] for row in rows if len(row) == width]) > 0.5]
@@ -199,28 +298,30 @@ def laid_out(lines: Lines, separator: str | None) -> Layout:
             raise InputError(f"it has a header (line {number}) but no samples below it; write the record again")
         header = split(line, separator, number)
         _refuse_ragged(lines[1:], separator, len(header))
-        headings = tuple(Heading((name,) if name else (), k, None) for k, name in enumerate(header, 1))
-        return Layout(headings, lines[1:], separator)
-    for number, line in reversed(lines[:first]):  # what stands just above the first whole sample may be a damaged one
-        if line[0] in _COMMENT:
-            continue
-        cells = split(line, separator)
-        filled = [cell for cell in cells if not is_blank(cell)]
-        if len(filled) >= max(0.5 * width, 2) and value_share(filled) > 0.5:
-            raise InputError(_ragged(number, 0, len(cells), width))
-        break
+        return Layout(
+            tuple(Heading((name,) if name else (), k) for k, name in enumerate(header, 1)), lines[1:], separator
+        )
     rows, begin = _header(lines, first, separator, width)
     body = [(at, line) for at, line in lines[first:] if line[0] not in _COMMENT]
     if separator is not None and any('"' in line for _, line in body):
         body, separator = [(at, CELL.join(split(line, separator, at))) for at, line in body], CELL
     _refuse_ragged(body, separator, width)
-    names, units = _names_and_units(rows, width)
-    headings = tuple(Heading(tuple(dict.fromkeys(n for n in names[k] if n)), k + 1, units[k]) for k in range(width))
+    names, units = list[list[str]](), [""] * width
+    for place, row in enumerate(rows):  # a row below the names of which a third are known units, and most no names
+        filled = [cell.strip("[]() ") for cell in row if cell.strip("[]() ")]
+        known, aliases = sum(map(bool, map(spellings, filled))), sum(split_heading(c)[0] in ALIASES for c in filled)
+        if place and filled and known >= max(len(filled) / 3.0, aliases):
+            units = [cell.strip("[]() ") for cell in row]
+        else:
+            names.append(row)
+    headings = tuple(
+        Heading(tuple(dict.fromkeys(row[k] for row in names if row[k])), k + 1, units[k] or None) for k in range(width)
+    )
     remark = f"line {lines[begin][0]} is taken for the first of the table; what stands above it is skipped"
     return Layout(headings, body, separator, (remark,) if any(x[0] not in _COMMENT for _, x in lines[:begin]) else ())
 
 
-def _lower_part(rows: Sequence[T]) -> list[T]:
+def _lower_part(rows: Sequence[Any]) -> list[Any]:
     """Some of them, spread from a third of the way to the end, and the last."""
     n = len(rows)
     picked = np.unique(np.linspace(min(n // 3, n - 1), n - 1, LOOKED_AT).astype(int)) if n else ()
@@ -230,32 +331,27 @@ def _lower_part(rows: Sequence[T]) -> list[T]:
 def _header(lines: Lines, first: int, separator: str | None, width: int) -> tuple[list[list[str]], int]:
     """The rows of names and units above the first sample, from top to bottom, and the index of the first of them."""
     begin, rows = first, []
-    for i in range(first - 1, max(first - 1 - MOST_HEADER_ROWS, -1), -1):
-        number, line = lines[i]
-        if line[0] in _COMMENT:
-            continue
-        cells = _header_cells(line, separator, width, number)
-        if cells is None:
-            break
-        begin, rows = i, [cells, *rows]
+    above = [(i, *lines[i]) for i in range(first - 1, -1, -1)]
+    text = [row for row in above if row[2][0] not in _COMMENT]
+    if text:  # what stands just above the first whole sample may be a damaged one
+        _, number, line = text[0]
+        cells = split(line, separator)
+        filled = [cell for cell in cells if not is_blank(cell)]
+        if len(filled) >= max(0.5 * width, 2) and value_share(filled) > 0.5:
+            raise InputError(_ragged(number, 0, len(cells), width))
+    for i, number, line in above[:MOST_HEADER_ROWS]:
+        if line[0] not in _COMMENT:
+            cells = _header_cells(line, separator, width, number)
+            if cells is None or (rows and any(map(is_value, cells))):  # names and units hold no numbers
+                break
+            begin, rows = i, [cells, *rows]
     if rows:
         return rows, begin
-    for i in range(first - 1, -1, -1):  # NumPy and MATLAB users write the names as a comment
-        number, line = lines[i]
+    for i, number, line in above:  # NumPy and MATLAB users write the names as a comment
         if line[0] not in _COMMENT:
             break
-        cells = _header_cells(line.lstrip("#% \t"), separator, width, number)
-        if cells is not None:
+        if (cells := _header_cells(line.lstrip("#% \t"), separator, width, number)) is not None:
             return [cells], i
-    # A row of names that does not name every column would shift them all: it is no preamble.
-    for number, line in reversed(lines[:first]) if separator is not None else ():
-        cells = [cell for cell in split(line, separator, number) if cell]
-        enough = line.count(str(separator)) + 1 >= max(width // 2, 3) <= len(cells)
-        if enough and not any(map(is_value, cells)):
-            raise InputError(
-                f"the header in line {number} names {len(cells)} columns, and the samples below it have {width}; "
-                "complete the header"
-            )
     return [], first
 
 
@@ -267,9 +363,7 @@ def _header_cells(line: str, separator: str | None, width: int, number: int) -> 
     if len(cells) == width - 1 and separator is not None:
         cells = [*cells, ""]  # one separator too many at the end of every sample is a habit of loggers
     filled = [cell for cell in cells if cell]
-    if len(cells) != width or not filled or sum(map(is_value, filled)) > 0.5 * len(filled):
-        return None
-    return cells
+    return cells if len(cells) == width and filled and sum(map(is_value, filled)) <= 0.5 * len(filled) else None
 
 
 def _refuse_ragged(body: Lines, separator: str | None, width: int) -> None:
@@ -279,30 +373,9 @@ def _refuse_ragged(body: Lines, separator: str | None, width: int) -> None:
             raise InputError(_ragged(number, sample, count, width))
 
 
-def _ragged(number: int, sample: int, found: int, width: int) -> str:
-    return (
-        f"line {number} (sample {sample}, counted from 0) has {found} columns where {width} are expected, as in the "
-        "other lines; complete or delete that line"
-    )
-
-
-def _names_and_units(header: Sequence[Sequence[str]], width: int) -> tuple[list[list[str]], list[str | None]]:
-    """Names by column, as many as there are rows of names, and units."""
-    names: list[list[str]] = [[] for _ in range(width)]
-    units: list[str | None] = [None] * width
-    for place, row in enumerate(header):
-        filled = [cell.strip("[]() ") for cell in row if cell.strip("[]() ")]
-        known = sum(map(bool, map(spellings, filled)))
-        if (
-            place > 0
-            and filled
-            and known >= max(UNIT_SHARE * len(filled), sum(split_heading(cell)[0] in ALIASES for cell in filled))
-        ):
-            units = [cell.strip("[]() ") or None for cell in row]
-        else:
-            for k, cell in enumerate(row):
-                names[k].append(cell)
-    return names, units
+def _ragged(number: int, sample: int, count: int, width: int) -> str:
+    where = f"line {number} (sample {sample}, counted from 0)"
+    return f"{where} has {count} columns where {width} are expected; complete or delete that line"
 
 
 # --- Cells of text to numbers: decimal commas, thousands separators, Fortran's exponents, blanks.
@@ -319,8 +392,7 @@ _GROUPS = re.compile(r"(?<=\d)['\u00a0\u202f](?=\d{3})")
 _FORTRAN = re.compile(r"(?<=[\d.,])[dD](?=[+-]?\d)")
 
 
-@dataclass(frozen=True)
-class Marks:
+class Marks(NamedTuple):
     """What a file writes before decimals, and between thousands (empty: nothing)."""
 
     decimal: str = "."
@@ -347,43 +419,33 @@ def marks_of(cells: Iterable[str]) -> Marks:
     """Tell decimal commas from commas between thousands, over all cells that are wanted of a file. "0,040" and "1,5"
     can only be decimals; "4,562" beside "0.9" can only be thousands. Raises InputError: where the file contradicts
     itself, or leaves open which of the two it means."""
-    decimal_comma = decimal_point = either_comma = either_point = ""
+    comma = point = either_comma = either_point = ""  # a cell with a decimal comma, point, or what may be either
     grouped = False
     for cell in cells:
-        comma, point = "," in cell, "." in cell
-        if not (comma or point):
-            continue
-        commas, points = _COMMAS.fullmatch(cell), _POINTS.fullmatch(cell)
-        if comma and point:
-            decimal_point, decimal_comma = (cell, decimal_comma) if commas else (decimal_point, cell)
-            grouped = True
-        elif comma and commas and cell.count(",") == 1:
+        commas, points = cell.count(","), cell.count(".")
+        if commas and points:
+            comma, point, grouped = (comma, cell, True) if _COMMAS.fullmatch(cell) else (cell, point, True)
+        elif commas and not _COMMAS.fullmatch(cell):
+            comma = cell
+        elif commas == 1:
             either_comma = cell
-        elif comma and commas:
-            decimal_point, grouped = cell, True  # two commas can only stand between thousands
-        elif comma:
-            decimal_comma = cell
-        elif points and cell.count(".") > 1:
-            decimal_comma, grouped = cell, True
+        elif commas:
+            point, grouped = cell, True  # two commas can only stand between thousands
+        elif points and not _POINTS.fullmatch(cell):
+            point = cell
+        elif points == 1:
+            either_point = cell
         elif points:
-            either_point = either_point or cell
-        else:
-            decimal_point = cell
-        if decimal_comma and decimal_point:
-            raise InputError(
-                f"it has {decimal_comma[:30]!r} with a decimal comma and {decimal_point[:30]!r} with a decimal point; "
-                "write all numbers with a decimal point and without thousands separators"
-            )
-    if decimal_comma:
+            comma, grouped = cell, True
+        if comma and point:
+            marks = f"{comma[:30]!r} with a decimal comma and {point[:30]!r} with a decimal point"
+            raise InputError(f"it has {marks}; write all numbers with a decimal point")
+    if either_comma and not comma and not point:
+        what = f"the comma in {either_comma[:30]!r} may be a decimal comma or stand before thousands"
+        raise InputError(f"{what}; write numbers with a decimal point, without thousands separators")
+    if comma:
         return Marks(",", "." if grouped or either_point else "")
-    if not either_comma:
-        return Marks(".", "," if grouped else "")
-    if decimal_point:
-        return Marks(".", ",")
-    raise InputError(
-        f"the comma in {either_comma[:30]!r} may be a decimal comma or stand before thousands, and nothing in the file "
-        "tells which; write numbers with a decimal point and without thousands separators"
-    )
+    return Marks(".", "," if grouped or either_comma else "")
 
 
 def number_of(cell: str, marks: Marks) -> float:
@@ -392,25 +454,21 @@ def number_of(cell: str, marks: Marks) -> float:
         return math.nan
     if "_" in cell:
         raise ValueError(cell)
-    plain = cell.replace(marks.thousands, "") if marks.thousands else cell
-    plain = _GROUPS.sub("", plain)
-    if marks.decimal == ",":
-        plain = plain.replace(",", ".")
-    return float(_FORTRAN.sub("e", plain))
+    plain = _GROUPS.sub("", cell.replace(marks.thousands, "") if marks.thousands else cell)
+    return float(_FORTRAN.sub("e", plain.replace(",", ".") if marks.decimal == "," else plain))
 
 
 # --- Clock times and dates to seconds since the first sample.
 
 DAY = 86400.0
 _TIME = re.compile(r"(?:\d{1,3}:)?\d{1,2}:\d{1,2}(?::\d{1,2})?(?:[.,]\d*)?")
-_DATED = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}(?!\d).*")
-_OF_DAY = re.compile(r"\d{1,2}:\d{1,2}.*")
+_DATED = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}(?!\d).*|\d{1,2}:\d{1,2}.*")
 _WEIGHTS = {2: (60.0, 1.0), 3: (3600.0, 60.0, 1.0), 4: (DAY, 3600.0, 60.0, 1.0)}
 
 
 def looks_like_clock(cell: str) -> bool:
     """Whether a cell is a clock time (10:23:45.12, 127:10:23:45, 23:45.1) or a date with one."""
-    return any(pattern.fullmatch(cell) for pattern in (_TIME, _DATED, _OF_DAY))
+    return bool(_TIME.fullmatch(cell) or _DATED.fullmatch(cell))
 
 
 def seconds(cells: Sequence[str]) -> np.ndarray:
@@ -422,21 +480,19 @@ def seconds(cells: Sequence[str]) -> np.ndarray:
     if len({len(part) for part in parts}) > 1:
         raise InputError("clock times of different forms stand in one column; write time in seconds")
     values = np.array(parts, dtype=np.float64) @ np.array(_WEIGHTS[len(parts[0])])
-    if len(parts[0]) == 4:
-        return values - values[0]
-    period = 3600.0 if len(parts[0]) == 2 else DAY
-    turns = np.cumsum(np.r_[0.0, np.diff(values)] < -0.5 * period)
-    return values + period * turns - values[0]
+    period = {2: 3600.0, 3: DAY, 4: np.inf}[len(parts[0])]
+    turns = np.diff(values, prepend=values[0]) < -0.5 * period
+    return values - values[0] + np.cumsum(np.where(turns, period, 0.0))
 
 
 def _dates(cells: Sequence[str]) -> np.ndarray:
     import pandas as pd
 
+    texts = pd.Series(list(cells))
     try:
-        stamps = pd.to_datetime(pd.Series(list(cells)), format="ISO8601", utc=True)
+        stamps = pd.to_datetime(texts, format="ISO8601", utc=True)
     except (ValueError, OverflowError):
         try:  # the order of day and month is the one in which the record is shorter
-            texts = pd.Series(list(cells))
             orders = [pd.to_datetime(texts, format="mixed", utc=True, dayfirst=first) for first in (False, True)]
         except (ValueError, OverflowError, TypeError) as reason:
             raise InputError("clock times or dates that cannot be read; write time in seconds") from reason
