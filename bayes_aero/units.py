@@ -274,7 +274,8 @@ def _word(word: str) -> tuple[str, ...]:
 
 def _product(text: str) -> tuple[str, ...]:
     """What products and quotients of known words may mean, as "slug-ft2", "DEG/SEC**2"; empty for anything else."""
-    left = _PER.sub("/", text).removeprefix("1/")
+    left = _PER.sub("/", text)
+    left = left[1:] if left.startswith("1/") else left
     factors: list[list[tuple[str, int]]] = []  # meanings of each, with their power
     while left.strip():
         match = _FACTOR.match(left)

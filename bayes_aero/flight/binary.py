@@ -22,21 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.text import (
-    CELL,
-    MAX_VALUES,
-    MOST_HEADINGS,
-    MOST_VALUES_IN_ALL,
-    FileColumn,
-    Heading,
-    OpenedFile,
-    foreign,
-    laid_out,
-    refuse_huge,
-    text_table,
-    value_share,
-    vector,
-)
+from bayes_aero.flight import text
+from bayes_aero.flight.text import FileColumn, Heading, OpenedFile
 
 TIME_LIMIT, PER_MEGABYTE = 20.0, 2.0
 """Seconds for the child, and more of them for each MB of the file; sound files take a tenth of that."""
@@ -100,28 +87,21 @@ LOGS = {
 TIME = Heading(("time",), None, "s")  # stands for the time stamps of whatever columns are read beside it
 
 
-class Group(NamedTuple):
-    """Columns that are sampled together: (n,) seconds from the file's start."""
-
-    name: str
-    time: np.ndarray
-
-    def ticks(self, tick: float) -> np.ndarray:
-        """(n,) time stamps as whole numbers of ticks of so many seconds; they must increase."""
-        scaled = self.time * round(1.0 / tick)
-        if not np.isfinite(scaled).all() or np.abs(scaled).max(initial=0.0) > 2.0**62:
-            raise InputError(f"a time stamp of {self.name} is no number or far too large; is the file damaged?")
-        whole = np.rint(scaled).astype(np.int64)
-        back = np.diff(whole) <= 0
-        if back.any():
-            at = int(np.argmax(back)) + 1
-            what = "repeats" if whole[at] == whole[at - 1] else "runs backwards"
-            raise InputError(
-                f"the time of {self.name} {what} at its sample {at} (counted from 0; t = {self.time[at]:.9g} s), "
-                f"{int(back.sum())} times in all, and cannot be joined with that of other groups; take the channels of "
-                f"{self.name} off the card, or cut the record there"
-            )
-        return whole
+def _ticks(name: str, time: np.ndarray, tick: float) -> np.ndarray:
+    """(n,) time stamps of a group, s, as whole numbers of ticks of so many seconds; they must increase."""
+    scaled = time * round(1.0 / tick)
+    if not np.isfinite(scaled).all() or np.abs(scaled).max(initial=0.0) > 2.0**62:
+        raise InputError(f"a time stamp of {name} is no number or far too large; is the file damaged?")
+    whole = np.rint(scaled).astype(np.int64)
+    back = np.diff(whole) <= 0
+    if back.any():
+        at = int(np.argmax(back)) + 1
+        what = "repeats" if whole[at] == whole[at - 1] else "runs backwards"
+        raise InputError(
+            f"the time of {name} {what} at its sample {at} (counted from 0; t = {time[at]:.9g} s), {int(back.sum())} "
+            f"times in all; take the channels of {name} off the card, or cut the record there"
+        )
+    return whole
 
 
 def open_log(suffix: str, data: bytes) -> OpenedFile:
@@ -132,37 +112,37 @@ def open_log(suffix: str, data: bytes) -> OpenedFile:
         raise InputError(f"it is not a readable {log.kind}: its first bytes are those of no such file; is it misnamed?")
     reply, arrays = ask_child(data, log.parser, log.kind)
     left, headings, taken = iter(arrays), [TIME], {"time"}
-    places: dict[Heading, tuple[Group, np.ndarray]] = {}
-    for listed in reply["groups"]:
-        group = Group(listed["name"], next(left))
+    places: dict[Heading, tuple[int, np.ndarray]] = {}  # by heading its group, and the values
+    stamps: list[np.ndarray] = []
+    for group, listed in enumerate(reply["groups"]):
+        stamps.append(next(left))
         for names, unit in listed["columns"]:
             values, first, count = next(left), names[0], 2
-            if not len(group.time):
-                continue
             while first in taken:
                 first, count = f"{names[0]} ({count})", count + 1
-            taken.add(first)
-            heading = Heading(tuple(dict.fromkeys((first, *names[1:]))), None, unit)
-            headings.append(heading)
-            places[heading] = (group, values)
+            if len(stamps[group]):
+                taken.add(first)
+                heading = Heading(tuple(dict.fromkeys((first, *names[1:]))), None, unit)
+                headings.append(heading)
+                places[heading] = (group, values)
     if not places:
         raise InputError("it holds no samples with time stamps; is it cut off? Write it again")
 
     def read(wanted: Mapping[str, Heading]) -> dict[str, FileColumn]:
         # The samples are at all time stamps of the groups that the wanted columns are in.
         chosen = {name: places[heading] for name, heading in wanted.items() if heading != TIME}
-        used = {id(group): group for group, _ in (chosen or places).values()}
+        used = sorted({group for group, _ in (chosen or places).values()})
         for name, heading in wanted.items():
-            refuse_huge(name, heading.names[0], sum(len(group.time) for group in used.values()), len(wanted))
-        time, rows = next(iter(used.values())).time.copy(), dict.fromkeys(used, np.s_[:])
+            text.refuse_huge(name, heading.names[0], sum(len(stamps[group]) for group in used), len(wanted))
+        time, rows = stamps[used[0]].copy(), {used[0]: np.s_[:]}
         if len(used) > 1:
-            stamps = {key: group.ticks(log.tick) for key, group in used.items()}
-            union = np.unique(np.concatenate(list(stamps.values())))
-            time, rows = union / round(1.0 / log.tick), {k: np.searchsorted(union, own) for k, own in stamps.items()}
+            ticks = {group: _ticks(reply["groups"][group]["name"], stamps[group], log.tick) for group in used}
+            union = np.unique(np.concatenate(list(ticks.values())))
+            time, rows = union / round(1.0 / log.tick), {k: np.searchsorted(union, own) for k, own in ticks.items()}
         columns = {name: FileColumn(time, "s") for name in wanted if name not in chosen}
         for name, (group, recorded) in chosen.items():
             values = np.full(len(time), np.nan)
-            values[rows[id(group)]] = vector(recorded, name)
+            values[rows[group]] = text.vector(recorded, name)
             columns[name] = FileColumn(values, wanted[name].unit)
         return columns
 
@@ -215,7 +195,7 @@ def named_arrays(
             variable, label = places[heading][0], heading.names[0]
             if variable.problem:
                 raise InputError(f"channel {name} ({label!r}) {variable.problem}")
-            refuse_huge(name, label, math.prod(variable.shape), len(wanted))
+            text.refuse_huge(name, label, math.prod(variable.shape), len(wanted))
         loaded = load({name: (places[h][0].key, places[h][1]) for name, h in wanted.items()})
         return {name: FileColumn(loaded[name], heading.unit) for name, heading in wanted.items()}
 
@@ -275,7 +255,7 @@ def open_netcdf(data: bytes) -> OpenedFile:
         raise InputError("it is neither a NetCDF-4 nor a classic NetCDF file; is it misnamed? Write it again")
     from scipy.io import netcdf_file
 
-    with foreign("NetCDF file"):
+    with text.foreign("NetCDF file"):
         there = netcdf_file(io.BytesIO(data), "r", mmap=False).variables
         units = {key: stated_unit(getattr(variable, "units", None)) for key, variable in there.items()}
         listed = [Variable(key, (str(key),), (), units[key]) for key in there]  # a matrix is no channel
@@ -283,9 +263,9 @@ def open_netcdf(data: bytes) -> OpenedFile:
     def load(places: Places) -> dict[str, np.ndarray]:
         loaded = {}
         for name, (key, _) in places.items():
-            with foreign("NetCDF file"):
+            with text.foreign("NetCDF file"):
                 raw = np.asarray(there[key].data)
-                vector(raw, name)  # its type and shape
+                text.vector(raw, name)  # its type and shape
                 loaded[name] = unpacked(raw, vars(there[key])["_attributes"], name)
         return loaded
 
@@ -314,7 +294,9 @@ def unpacked(raw: np.ndarray, attributes: Mapping[str, Any], name: str) -> np.nd
 
     given = {key: native(attributes[key]) for key in PACKING if key in attributes}
     if any(key.startswith("flag_") for key in given):
-        raise InputError(f"channel {name} holds flags, no measured quantity; name another variable on the card")
+        raise InputError(
+            f"channel {name} has flag_meanings: flags, and no measured quantity; name another variable on the card"
+        )
     unsigned = "".join(given.pop("_Unsigned", np.array([""]))[:1].astype(str)).strip().casefold()
     packing = {"scale_factor", "add_offset"} & set(given)
     wrong = [key for key, x in given.items() if x.dtype.kind not in "fiu" or not x.size]
@@ -355,7 +337,7 @@ def open_mat(data: bytes) -> OpenedFile:
     from scipy.io import loadmat, whosmat
 
     def parsed(parser: Callable[..., Any], **options: Any) -> Any:
-        with foreign("MATLAB file"), warnings.catch_warnings():
+        with text.foreign("MATLAB file"), warnings.catch_warnings():
             warnings.simplefilter("error", UserWarning)  # scipy warns where a file holds one name twice
             return parser(io.BytesIO(data), **options)
 
@@ -364,7 +346,7 @@ def open_mat(data: bytes) -> OpenedFile:
     if contents and all(kind in ("opaque", "object", "function") for _, kind in contents.values()):
         raise InputError(OBJECT)
     structs = [name for name, (_, kind) in contents.items() if kind == "struct"]
-    if claimed > 8 * MOST_VALUES_IN_ALL and structs:
+    if claimed > 8 * text.MOST_VALUES_IN_ALL and structs:
         raise InputError(
             f"it claims {claimed} bytes, more than a record may have; is it damaged? Otherwise cut the record"
         )
@@ -389,7 +371,7 @@ def open_mat(data: bytes) -> OpenedFile:
             values = np.asarray(arrays[key])
             if at is not None:
                 values = values[:, at] if values.shape[0] >= values.shape[1] else values[at]
-            columns[name] = vector(values, name)
+            columns[name] = text.vector(values, name)
         return columns
 
     return named_arrays(listed, load)
@@ -412,15 +394,15 @@ def _bounded(data: bytes) -> int:
     position, count, total = 128, 0, 0
     while position + 8 <= len(data):
         count += 1
-        if count > MOST_HEADINGS:
-            raise InputError(f"it has more than {MOST_HEADINGS} variables; is it a flight record?")
+        if count > text.MOST_HEADINGS:
+            raise InputError(f"it has more than {text.MOST_HEADINGS} variables; is it a flight record?")
         kind, size = (int.from_bytes(data[at : at + 4], order) for at in (position, position + 4))
         claimed = size
         if kind == 15:  # miCOMPRESSED
-            with foreign("MATLAB file"):
+            with text.foreign("MATLAB file"):
                 inner = zlib.decompressobj().decompress(data[position + 8 : position + 8 + min(size, 4096)], 8)
             claimed = int.from_bytes(inner[4:8], order)
-        if claimed > 8 * MAX_VALUES + 4096:
+        if claimed > 8 * text.MAX_VALUES + 4096:
             raise InputError(
                 f"it claims a variable of {claimed} bytes; is it damaged? In MATLAB, save it again with -v7"
             )
@@ -434,7 +416,7 @@ def open_parquet(data: bytes) -> OpenedFile:
     import pyarrow.parquet as pq
 
     numeric = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_timestamp)
-    with foreign("Parquet file"):
+    with text.foreign("Parquet file"):
         file = pq.ParquetFile(pa.BufferReader(data))
         groups = (file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups))
         rows, listed = max(file.metadata.num_rows, sum(groups)), []
@@ -446,7 +428,7 @@ def open_parquet(data: bytes) -> OpenedFile:
 
     def load(places: Places) -> dict[str, np.ndarray]:
         columns = {}
-        with foreign("Parquet file"):
+        with text.foreign("Parquet file"):
             table = file.read(columns=[key for key, _ in places.values()], use_threads=False)
             for name, (key, _) in places.items():
                 values = table.column(key)
@@ -455,7 +437,8 @@ def open_parquet(data: bytes) -> OpenedFile:
                     first = stamps[~np.isnat(stamps)][:1]
                     columns[name] = (stamps - (first if len(first) else stamps)) / np.timedelta64(1, "s")
                 else:
-                    columns[name] = vector(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), name)
+                    numbers = values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+                    columns[name] = text.vector(numbers, name)
         return columns
 
     return named_arrays(listed, load, "column", numbered=True)
@@ -467,7 +450,7 @@ MOST_UNPACKED = 1 << 29  # most bytes of XML in the archive, 0.5 GiB; a file of 
 MOST_ROWS, MOST_CELLS = 1 << 20, 10_000_000
 """Excel's own number of rows; and most cells of a sheet, of which each takes some microseconds."""
 A_TABLE = 50  # rows of numbers that make a table; a sheet with fewer is read only where no sheet has so many
-_UNFIT = re.compile(rf'[{CELL}"\r\n\t]+')  # what parts cells and lines in a text table
+_UNFIT = re.compile(rf'[{text.CELL}"\r\n\t]+')  # what parts cells and lines in a text table
 _THOUSANDS = re.compile(r"-?\d{1,3}\.\d{3}")  # a number whose point could stand between thousands in a text table
 
 Rows = list[tuple[int, list[str]]]
@@ -482,7 +465,7 @@ def open_excel(data: bytes) -> OpenedFile:
         raise InputError("it is a workbook of Excel 97 to 2003, or one with a password; save it as .xlsx without one")
     from openpyxl import load_workbook
 
-    with foreign("Excel workbook"), warnings.catch_warnings():
+    with text.foreign("Excel workbook"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of styles and extensions that it leaves out
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             claimed = sum(entry.file_size for entry in archive.infolist())
@@ -495,7 +478,7 @@ def open_excel(data: bytes) -> OpenedFile:
             book.close()
     if not sheets:
         raise InputError("it holds no data, only blank sheets; write the record again")
-    lengths = [sum(len(row) > 1 and value_share(row) > 0.5 for _, row in rows) for _, rows in sheets]
+    lengths = [sum(len(row) > 1 and text.value_share(row) > 0.5 for _, row in rows) for _, rows in sheets]
     most = min(max(lengths), A_TABLE)
     tables = [k for k, length in enumerate(lengths) if length >= most] if most else [0]
     (name, rows), remarks = sheets[tables[0]], []
@@ -505,15 +488,20 @@ def open_excel(data: bytes) -> OpenedFile:
         ]
     elif len(sheets) > 1:
         remarks = [f"the table is that of sheet {name!r}"]
-    numeric = [value_share(row) > 0.5 for _, row in rows]
+    numeric = [text.value_share(row) > 0.5 for _, row in rows]
     first = next((k for k, it in enumerate(numeric) if it and all(numeric[k : k + 3])), 0)
-    width = max(len(row) for _, row in rows[first:])
+    width = max(len(row) for _, row in rows[max(first - text.MOST_HEADER_ROWS, 0) :])
     # Above the samples stand names and units, and notes of a few cells, which fill no line of the table.
     lines = [
-        (at, CELL.join(row + [""] * (width - len(row)) if k >= first or 2 * sum(map(bool, row)) > width else row))
+        (
+            at,
+            text.CELL.join(
+                row + [""] * (width - len(row)) if k >= first or 2 * sum(map(bool, row)) > len(rows[first][1]) else row
+            ),
+        )
         for k, (at, row) in enumerate(rows)
     ]
-    return text_table(laid_out(lines, CELL), remarks)
+    return text.text_table(text.laid_out(lines, text.CELL), remarks)
 
 
 def _rows(sheet: Any) -> Rows:
@@ -527,8 +515,8 @@ def _rows(sheet: Any) -> Rows:
         row = [_text(value) for value in values]
         while row and not row[-1]:
             row.pop()
-        if len(row) > MOST_HEADINGS:
-            raise InputError(f"sheet {title} has more than {MOST_HEADINGS} columns; is it a flight record?")
+        if len(row) > text.MOST_HEADINGS:
+            raise InputError(f"sheet {title} has more than {text.MOST_HEADINGS} columns; is it a flight record?")
         if row:
             rows.append((number, row))
     return rows

@@ -352,6 +352,13 @@ def _header(lines: Lines, first: int, separator: str | None, width: int) -> tupl
             break
         if (cells := _header_cells(line.lstrip("#% \t"), separator, width, number)) is not None:
             return [cells], i
+    # A row of names that does not name every column would shift them all: it is no preamble.
+    for _, number, line in above if separator is not None else ():
+        cells = [cell for cell in split(line, separator, number) if cell]
+        enough = line.count(str(separator)) + 1 >= max(width // 2, 3) <= len(cells)
+        if enough and not any(map(is_value, cells)):
+            names = f"the header in line {number} names {len(cells)} columns, and the samples below it"
+            raise InputError(f"{names} have {width}; complete the header")
     return [], first
 
 

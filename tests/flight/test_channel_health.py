@@ -128,8 +128,6 @@ FAULTS = {  # of a flight with these arguments: its fault, its channel, what sta
        for n in ("alpha", "theta", "q", "airspeed")},
     "q cut off": ({"seed": 10}, "saturated", "q", cut_off, ""),
     "rounded q cut off": ({"seed": 10, "digits": {"q": 0.1 * DEG}}, "saturated", "q", cut_off, ""),
-    **{f"{n} in steps of {x} deg": ({"seed": 11}, "quantised", n, lambda r, n=n, x=x: rounded(r[n], x * DEG), "")
-       for n, x in (("alpha", 0.5), ("q", 0.5), ("theta", 1.0), ("elevator", 1.0))},
 }  # fmt: skip
 
 

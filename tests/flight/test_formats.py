@@ -160,7 +160,7 @@ def test_mat_files_that_hold_no_vectors_or_too_much(tmp_path, monkeypatch):
     savemat(tmp_path / "v4.mat", {"T": t}, format="4")
     told(tmp_path / "v4.mat", TWO, "version 5 to 7.3", "-v7")
     path = written(tmp_path, sound(2000), ".mat")
-    monkeypatch.setattr(binary, "MAX_VALUES", 100)
+    monkeypatch.setattr("bayes_aero.flight.text.MAX_VALUES", 100)
     told(path, CHANNELS, "claims", "-v7")
 
 

@@ -244,7 +244,7 @@ def test_parts_of_a_file_by_seconds_number_and_gaps(seamed):
 
 
 @pytest.mark.parametrize(("spec", "said"), [
-    ("200:300", "no sample lies in the part from 200 to 300 s: its time goes from 0 to 74.36 s"),
+    ("200:300", "no sample lies in the part 200:300 (s): its time goes from 0 to 74.36 s"),
     ("5:3", "FROM before TO"),
     ("#4", "gaps in time divide it into 3"),
     ("0:1", "26 samples; at least 50"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from bayes_aero.flight.health import (
     runs_of,
     shown,
 )
-from bayes_aero.flight.health.kinematics import DENSITY0, thinness
+from bayes_aero.flight.health.kinematics import DENSITY0, View, thinness
 from bayes_aero.flight.record import SHORTEST as FEWEST
 from bayes_aero.flight.record import FlightRecord, parts_of
 from bayes_aero.physics.aircraft import GAMMA, GAS, GRAVITY, standard_air
@@ -31,6 +31,7 @@ from bayes_aero.units import instant
 
 Limits = tuple[float, float]
 """Departure that still passes, and how near to one a unit must bring the factor; logarithms."""
+GRAVE = ("density", "airspeed", "altitude", "mach")  # what results rest on
 SENSORS: Limits = (0.10, 0.06)  # a departure that no weather and no sensor makes
 DAY: Limits = (0.30, 0.15)  # of the density that no weather makes at a pressure altitude (35 %, some 75 K)
 COLD: Limits = (0.15, 0.10)  # likewise, of the speed of sound at an altitude
@@ -40,6 +41,9 @@ def _off(k: float, limits: Limits) -> bool:
     return bool(np.isfinite(k) and k > 0.0 and abs(np.log(k)) >= limits[0])
 
 
+NOTHING = np.zeros(0)
+
+
 def _middle(x: np.ndarray) -> float:
     return float(np.median(x)) if len(x) else float("nan")
 
@@ -47,31 +51,31 @@ def _middle(x: np.ndarray) -> float:
 @dataclass(frozen=True)
 class _Ratio:
     """A channel that is `k` times what it must be (`meant`). `powers`: channels and the power with which each enters k,
-    that first which is talked of. `grave`: None: if it is of those that results rest on."""
+    that first which is talked of. `unnamed`: whether it is grave where no unit explains it; None: it is none then."""
 
     k: float
     powers: Mapping[str, int]
     meant: str
     limits: Limits = SENSORS
-    grave: bool | None = None
+    unnamed: bool | None = None
 
-    def findings(self, record: FlightRecord, card: Card, *, unexplained: bool = True) -> list[HealthFinding]:
-        """A finding if a unit explains the factor, or, with `unexplained`, if none does."""
-        if not _off(self.k, self.limits):
-            return []
+    def findings(self, record: FlightRecord, card: Card, grave: Collection[str] = GRAVE) -> list[HealthFinding]:
+        """A finding if a unit explains the factor, or none does."""
         culprits, name = [], next(iter(self.powers))
         for n, power in self.powers.items():
             left = {u: abs(np.log(self.k * x**power)) for u, x in other_units(card, n, unit_choices(n))}
             culprits += [(n, unit) for unit in sorted(left, key=left.__getitem__) if left[unit] < self.limits[1]]
-        channel, unit = culprits[0] if culprits else (name, "")
-        why = " or ".join(f"{n}, {declared(card, n).unit} on the card, is in {u}" for n, u in culprits)
-        mend = f'set unit = "{unit}" for {channel} on the card'
+        if not _off(self.k, self.limits) or (not culprits and self.unnamed is None):
+            return []
+        said = f"{name} is {self.k:.3g} times {self.meant} throughout"
         if not culprits:
             mend = f"correct {' or '.join(self.powers)} in the file, or take it off the card"
-        sentence = f"{name} is {self.k:.3g} times {self.meant} throughout ({why or 'no unit explains it'}); {mend}"
-        grave = channel in ("density", "airspeed", "altitude", "mach") if self.grave is None else self.grave
-        fault = "unit" if culprits else "factor"
-        return [finding(record, channel, fault, sentence, grave=grave)] if culprits or unexplained else []
+            sentence = f"{said} (no unit explains it); {mend}"
+            return [finding(record, name, "factor", sentence, grave=bool(self.unnamed))]
+        channel, unit = culprits[0]
+        why = " or ".join(f"{n}, {declared(card, n).unit} on the card, is in {u}" for n, u in culprits)
+        sentence = f'{said} ({why}); set unit = "{unit}" for {channel} on the card'
+        return [finding(record, channel, "unit", sentence, grave=channel in grave)]
 
 
 # --- Quantities that several channels make together: density, dynamic pressure, Mach number, altitude, weight.
@@ -83,26 +87,44 @@ THINNEST, THICKEST = 0.05, 1.6  # kg/m3; 22 km, and sea level at -70 degC
 def air_data(record: FlightRecord, card: Card) -> Findings:
     """A finding for each relation between air data, altitude and weight that does not hold."""
     view = _view(record, card)
-    have = frozenset(view) & frozenset(record.channels)
-    moves = len(view.get("airspeed", ())) > 1
-    if {"static_temperature", "static_pressure", "density"} <= have and _middle(view["static_temperature"]) > 0.0:
+    formed = card.derived.get("density") == "dynamic pressure" and _made_of(card, record) != {"density": 1}
+    for ratio in _ratios(record, card, view):
+        yield from ratio.findings(record, card, (*GRAVE, "dynamic_pressure") if formed else GRAVE)
+    if {"density", "altitude"} <= view.keys() and len(view["density"]):
+        yield from _density(record, card, view)
+    if len(view.get("airspeed", ())) > 1 and "density" in view:
+        yield from _level_flight(record, card, view)
+
+
+def _ratios(record: FlightRecord, card: Card, view: View) -> Iterator[_Ratio]:
+    """Gas law; altitude; airspeed over Mach number times the speed of sound, of the temperature, else of a standard
+    atmosphere; dynamic pressure over half of density times airspeed squared."""
+    have = view.keys() & record.channels.keys()
+    warm, altitude = _middle(view.get("static_temperature", NOTHING)) > 0.0, "altitude" in view
+    if warm and {"static_temperature", "static_pressure", "density"} <= have:
         k = _middle(view["static_pressure"] / np.maximum(view["density"] * GAS * view["static_temperature"], 1e-9))
-        yield from _Ratio(k, {"static_pressure": 1, "density": -1}, "density times R T").findings(record, card)
+        yield _Ratio(k, {"static_pressure": 1, "density": -1}, "density times R T", unnamed=False)
     if {"static_pressure", "altitude"} <= have:
         # that of the static pressure in a standard atmosphere; the ground pressure may differ by 5 %
         pressure = float(np.clip(_middle(view["static_pressure"]), 1000.0, 1.2e5))
-        height, altitude = (1.0 - (pressure / 101325.0) ** 0.190263) / 2.25577e-5, _middle(view["altitude"])
-        if pressure > 1000.0 and height >= 500.0 and altitude >= 150.0:
-            heights = _Ratio(altitude / height, {"altitude": 1}, "the altitude of the static pressure")
-            yield from heights.findings(record, card, unexplained=False)
-    if moves and "mach" in have:
-        yield from _mach(record, card, view)
-    if {"density", "altitude"} <= view.keys() and len(view["density"]):
-        yield from _density(record, card, view)
-    if moves and "dynamic_pressure" in have:
-        yield from _dynamic_pressure(record, card, view)
-    if moves and "density" in view:
-        yield from _level_flight(record, card, view)
+        height = (1.0 - (pressure / 101325.0) ** 0.190263) / 2.25577e-5
+        if pressure > 1000.0 and height >= 500.0 and _middle(view["altitude"]) >= 150.0:
+            yield _Ratio(_middle(view["altitude"]) / height, {"altitude": 1}, "the altitude of the static pressure")
+    flying = view.get("mach", NOTHING) > 0.05
+    if len(view.get("airspeed", ())) < 2:
+        return
+    if "mach" in have and (warm or altitude) and flying.mean() > 0.5:
+        sound = np.sqrt(GAMMA * GAS * view["static_temperature"]) if warm else standard_air(view["altitude"])[1]
+        k = _middle((view["airspeed"] / (view["mach"] * np.maximum(sound, 1.0)))[flying])
+        meant = "Mach number times the speed of sound" + ("" if warm else " at the altitude")
+        yield _Ratio(k, {"airspeed": 1, "mach": -1}, meant, SENSORS if warm else COLD, True if warm else None)
+    recorded = "density" in view and _made_of(card, record) == {"density": 1}
+    if "dynamic_pressure" in have and (recorded or altitude):
+        rho, limits = (view["density"], SENSORS) if recorded else (standard_air(view["altitude"])[0], DAY)
+        k = _middle(view["dynamic_pressure"] / (0.5 * rho * view["airspeed"] ** 2))
+        powers = {"dynamic_pressure": 1, **({"density": -1} if recorded else {}), "airspeed": -2}
+        # Density or airspeed may be what is wrong.
+        yield _Ratio(k, powers, "half of density times airspeed squared", limits, not recorded or _off(k, DAY))
 
 
 def _view(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
@@ -132,19 +154,7 @@ def _made_of(card: Card, record: FlightRecord) -> dict[str, int]:
     return powers.get(rule, {})
 
 
-def _mach(record: FlightRecord, card: Card, view: Mapping[str, np.ndarray]) -> Findings:
-    """Mach number against airspeed over the speed of sound: of the temperature, else of a standard atmosphere."""
-    warm, flying = "static_temperature" in view, view["mach"] > 0.05
-    if not (warm or "altitude" in view) or not flying.mean() > 0.5:
-        return
-    sound = np.sqrt(GAMMA * GAS * np.abs(view["static_temperature"])) if warm else standard_air(view["altitude"])[1]
-    k = _middle((view["airspeed"] / (view["mach"] * np.maximum(sound, 1.0)))[flying])
-    meant = "Mach number times the speed of sound" + ("" if warm else " at the altitude")
-    ratio = _Ratio(k, {"airspeed": 1, "mach": -1}, meant, SENSORS if warm else COLD)
-    yield from ratio.findings(record, card, unexplained=warm)
-
-
-def _density(record: FlightRecord, card: Card, view: Mapping[str, np.ndarray]) -> Findings:
+def _density(record: FlightRecord, card: Card, view: View) -> Findings:
     """Density against that of a standard atmosphere: a unit of it, or of the altitude, or none explains it."""
     if not (powers := _made_of(card, record)):
         return
@@ -152,7 +162,7 @@ def _density(record: FlightRecord, card: Card, view: Mapping[str, np.ndarray]) -
     meant = "that of a standard atmosphere at the altitude"
     if "density" not in powers:
         meant = f"what a standard atmosphere at the altitude would need ({card.derived['density']} on the card)"
-    named = _Ratio(k, powers, meant, DAY, grave=True).findings(record, card, unexplained=False)
+    named = _Ratio(k, powers, meant, DAY).findings(record, card, powers)
     yield from named
     if named or not _off(k, DAY):
         return
@@ -176,22 +186,7 @@ def _density(record: FlightRecord, card: Card, view: Mapping[str, np.ndarray]) -
     )  # fmt: skip
 
 
-def _dynamic_pressure(record: FlightRecord, card: Card, view: Mapping[str, np.ndarray]) -> Findings:
-    """Dynamic pressure against half of density times true airspeed squared."""
-    recorded = "density" in view and _made_of(card, record) == {"density": 1}
-    if not recorded and "altitude" not in view:
-        return
-    rho, limits = (view["density"], SENSORS) if recorded else (standard_air(view["altitude"])[0], DAY)
-    k = _middle(view["dynamic_pressure"] / (0.5 * rho * view["airspeed"] ** 2))
-    rests = card.derived.get("density") == "dynamic pressure" and not recorded
-    powers = {"dynamic_pressure": 1, **({"density": -1} if recorded else {}), "airspeed": -2}
-    ratio = _Ratio(k, powers, "half of density times airspeed squared", limits, True if rests else None)
-    named = ratio.findings(record, card, unexplained=False)
-    # Density or airspeed may be what is wrong.
-    yield from named or replace(ratio, grave=rests or _off(k, DAY)).findings(record, card)
-
-
-def _level_flight(record: FlightRecord, card: Card, view: Mapping[str, np.ndarray]) -> Findings:
+def _level_flight(record: FlightRecord, card: Card, view: View) -> Findings:
     """The lift coefficient of level flight, which mass, wing area, density and airspeed make together."""
     mass, area = float(card.aircraft.mass), float(card.aircraft.wing_area)
     rho, V = _middle(view["density"]), _middle(view["airspeed"])

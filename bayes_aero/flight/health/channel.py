@@ -1,4 +1,4 @@
-"""Faults of one channel: dropouts, frozen, held, quantised, saturated and wrapped samples; and every check there is."""
+"""Faults of one channel: dropouts, frozen, held, saturated and wrapped samples; and every check there is."""
 
 from __future__ import annotations
 
@@ -293,35 +293,9 @@ def interpolated_period(x: np.ndarray) -> int:
     return best
 
 
-# --- A channel recorded in steps that are too coarse for what is asked of it, or cut off at the end of its range.
+# --- A channel that is cut off at the end of its range, or jumps there.
 
-COARSEST = {
-    "alpha": np.deg2rad(0.45), "beta": np.deg2rad(0.9), "theta": np.deg2rad(0.45), "phi": np.deg2rad(0.9),
-    "elevator": np.deg2rad(0.45), "p": np.deg2rad(0.9), "q": np.deg2rad(0.45), "r": np.deg2rad(0.45),
-    "ax": 0.2, "ay": 0.2, "az": 0.4, "airspeed": 1.2, "altitude": 15.0, "mach": 0.01, "density": 0.02,
-}  # fmt: skip
-"""Steps, SI, whose rounding error (a step over the square root of 12) is as large as a good sensor's error is tenfold;
-recorders for accident investigation keep 0.2 to 0.35 deg, 0.01 g, 1 kt and are not reported."""
 SENSED = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed")
-
-
-def quantised(record: FlightRecord, card: Card) -> Findings:
-    """A finding for each channel whose step is too coarse in itself or for the motion that is flown."""
-    for name, coarsest in COARSEST.items():
-        # A rounded channel changes its value often; an input in steps, a 3-2-1-1 without noise, some ten times.
-        if not record.has(name) or np.count_nonzero(np.diff(record[name])) < 40:
-            continue
-        step = level_step(record[name])
-        moved = float(np.diff(np.quantile(record[name], (0.005, 0.995)))[0])
-        few = name in ("alpha", "q", "az", "elevator") and step > 0.3 * coarsest and moved < 8.0 * step
-        if step >= coarsest or few:
-            yield finding(
-                record, name, "quantised",
-                f"{name} is recorded in steps of {shown(card, name, step, size=True)}, and the flight crosses "
-                f"{moved / step:.0f} of them: its rounding error of "
-                f"{shown(card, name, step / np.sqrt(12.0), size=True)} is not random noise; record it with more "
-                "digits, or do not rely on results that use it",
-            )  # fmt: skip
 
 
 def saturated(record: FlightRecord, card: Card) -> Findings:
@@ -382,7 +356,7 @@ def wrapped(record: FlightRecord, _card: Card) -> Findings:
 
 # --- Every check of a record.
 
-_CHECKS = (air_data, dropouts, frozen, held, saturated, quantised, wrapped, short, decided)
+_CHECKS = (air_data, dropouts, frozen, held, saturated, wrapped, short, decided)
 
 
 def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthFinding, ...]:
@@ -406,7 +380,7 @@ def _without_consequences(findings: list[HealthFinding]) -> list[HealthFinding]:
     blamed = {f.channel for f in findings if f.fault in ("unit", "airspeed_kind", "density", "factor") and f.grave}
     kept: list[HealthFinding] = []
     for f in findings:
-        follows = f.fault in ("frozen", "saturated", "quantised") and f.channel in dropped
+        follows = f.fault in ("frozen", "saturated") and f.channel in dropped
         twice = f.fault == "unit" and any(k.fault == "unit" and k.channel == f.channel for k in kept)
         heavy = f.fault == "load" and blamed & {"density", "airspeed", "dynamic_pressure", "static_pressure"}
         kept += [] if follows or twice or heavy else [f]
