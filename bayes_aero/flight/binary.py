@@ -294,9 +294,7 @@ def unpacked(raw: np.ndarray, attributes: Mapping[str, Any], name: str) -> np.nd
 
     given = {key: native(attributes[key]) for key in PACKING if key in attributes}
     if any(key.startswith("flag_") for key in given):
-        raise InputError(
-            f"channel {name} has flag_meanings: flags, and no measured quantity; name another variable on the card"
-        )
+        raise InputError(f"channel {name} has flag_meanings: it holds flags, no quantity; name another variable")
     unsigned = "".join(given.pop("_Unsigned", np.array([""]))[:1].astype(str)).strip().casefold()
     packing = {"scale_factor", "add_offset"} & set(given)
     wrong = [key for key, x in given.items() if x.dtype.kind not in "fiu" or not x.size]
@@ -492,15 +490,10 @@ def open_excel(data: bytes) -> OpenedFile:
     first = next((k for k, it in enumerate(numeric) if it and all(numeric[k : k + 3])), 0)
     width = max(len(row) for _, row in rows[max(first - text.MOST_HEADER_ROWS, 0) :])
     # Above the samples stand names and units, and notes of a few cells, which fill no line of the table.
-    lines = [
-        (
-            at,
-            text.CELL.join(
-                row + [""] * (width - len(row)) if k >= first or 2 * sum(map(bool, row)) > len(rows[first][1]) else row
-            ),
-        )
-        for k, (at, row) in enumerate(rows)
-    ]
+    lines, half = [], len(rows[first][1]) / 2
+    for k, (number, row) in enumerate(rows):
+        whole = k >= first or sum(map(bool, row)) > half
+        lines.append((number, text.CELL.join(row + [""] * (width - len(row)) if whole else row)))
     return text.text_table(text.laid_out(lines, text.CELL), remarks)
 
 
