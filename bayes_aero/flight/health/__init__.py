@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from itertools import combinations, product
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -193,7 +193,7 @@ def longest(runs: Iterable[tuple[int, int]]) -> tuple[int, int]:
     return max(runs, key=lambda run: run[1] - run[0])
 
 
-# --- Records of different sampling rates in one job; one flight given twice, also cut, renamed, rounded or thinned out.
+# --- Records of different sampling rates in one job; one flight given twice, also cut, renamed or rounded.
 
 
 def different_rates(records: Sequence[FlightRecord]) -> Findings:
@@ -226,41 +226,26 @@ def same_records(records: Sequence[FlightRecord]) -> Findings:
 
 def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, int]] | None:
     """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing."""
-    slow = max(one.dt, two.dt)
-    every = [round(slow / record.dt) for record in (one, two)]
-    if max(every) > 20 or any(abs(k * r.dt - slow) > 1e-3 * slow for k, r in zip(every, (one, two), strict=True)):
-        return None
     names = dict.fromkeys(n for n in (*FIRST, *one.channels) if n in one.channels and n in two.channels)
     names = [n for n in names if np.ptp(one[n]) > 0.0 and np.ptp(two[n]) > 0.0]
-    for begin in product(*map(range, every)) if len(names) >= CHANNELS else ():
-        x, y = ({n: r[n][b::k] for n in names} for r, b, k in zip((one, two), begin, every, strict=True))
-        if shared := _shared(x, y):
-            first, count = shared
-            lengths = len(x[names[0]]), len(y[names[0]])
-            part = "shares a part with the record"
-            if count >= min(lengths) - 2:
-                part = f"is {'' if lengths[0] == lengths[1] else 'part of '}the same record as"
-            ends = (begin[1] + every[1] * first, begin[1] + every[1] * (first + count - 1))
-            return f"{part} {one.name}: {count} samples ({count * slow:.4g} s) are the same samples", ends
-    return None
-
-
-def _shared(one: Mapping[str, np.ndarray], two: Mapping[str, np.ndarray]) -> tuple[int, int] | None:
-    """First sample in `two` and number of the samples that both have; None if there are none."""
-    for lead in list(one)[:3]:
-        lag = _lag(np.diff(one[lead]), np.diff(two[lead]))
+    if len(names) < CHANNELS or abs(one.dt - two.dt) > 1e-3 * one.dt:
+        return None
+    for lag in (_lag(np.diff(one[lead]), np.diff(two[lead])) for lead in names[:3]):
         if lag is None:
             continue
-        begin, end = max(0, -lag), min(len(two[lead]), len(one[lead]) - lag)  # samples of `two` that `one` has, too
+        begin, end = max(0, -lag), min(two.n, one.n - lag)  # samples of `two` that `one` has, too
         alike = 0
-        for name in one:  # they step alike, noise included, or differ by no more than their last digits
+        for name in names:  # they step alike, noise included, or differ by no more than their last digits
             x, y = one[name][begin + lag : end + lag], two[name][begin:end]
             dx, dy, digit = np.diff(x), np.diff(y), quantum(x) + quantum(y)
             power = np.sqrt(float(dx @ dx) * float(dy @ dy))
             rounded = digit < 0.1 * np.ptp(y) and float(np.max(np.abs(x - y))) <= 0.51 * digit
             alike += rounded or (power > 0.0 and float(dx @ dy) > 0.999 * power)  # which two flights never have
-        if alike >= max(CHANNELS, len(one) - CHANNELS):
-            return begin, end - begin
+        if alike >= max(CHANNELS, len(names) - CHANNELS):
+            whole = f"is {'' if one.n == two.n else 'part of '}the same record as"
+            part = whole if end - begin >= min(one.n, two.n) - 2 else "shares a part with the record"
+            shared = f"{end - begin} samples ({(end - begin) * one.dt:.4g} s) are the same samples"
+            return f"{part} {one.name}: {shared}", (begin, end - 1)
     return None
 
 

@@ -525,25 +525,12 @@ def _bias(record: FlightRecord, card: Card, view: View, left: Misfits) -> Findin
         return  # stated there, or no more than errors of scale make in turns
     off, mean = side_bias(view), float(np.mean(view["ay"]))
     tilt = np.degrees(np.arcsin(min(abs(off) / GRAVITY, 1.0)))
-    # The factor of the airspeed that explains it, too, if no other relation refutes that: what turns grows with the
-    # airspeed, what forces make does not.
-    turn = side_bias({**view, "airspeed": 2.0 * view["airspeed"]}) - off
-    k = float(turn / (turn - off)) if turn != off else 0.0
-    rival = np.exp(-WIDEST) < k < np.exp(WIDEST)
-    if rival:
-        after = misfits({**view, "airspeed": view["airspeed"] / k})
-        rival = not any(after[n] > max(1.0, WORSE * a) for n, a in left.items())
-    mend = "; take it out in the file, or add the effect accel_y_bias with its value under fixed on the card"
-    if rival:
-        mend = (
-            f"; or airspeed is {k:.3g} times what bank and turn make of it: this record cannot tell the two apart. "
-            "Compare the airspeed with another source"
-        )
     yield finding(
-        record, "ay", "mean" if rival else "bias",
+        record, "ay", "bias",
         f"ay is off by {off:+.2g} m/s^2 ({off / GRAVITY:+.2g} g) in the mean: bank, turn and airspeed make "
-        f"{mean - off:+.2g} m/s^2, and {mean:+.2g} were recorded. It is a bias of the accelerometer, or its "
-        f"tilt of {tilt:.2g} deg about the x axis (or as much bias of the bank angle){mend}",
+        f"{mean - off:+.2g} m/s^2, and {mean:+.2g} were recorded. It is a bias of the accelerometer, its tilt of "
+        f"{tilt:.2g} deg about the x axis, as much bias of the bank angle or, in a turn, a factor of the airspeed; "
+        "take it out in the file, or add the effect accel_y_bias with its value under fixed on the card",
         grave=Axis.LATERAL in card.axes,
     )  # fmt: skip
 
