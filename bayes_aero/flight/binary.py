@@ -376,7 +376,6 @@ def open_mat(data: bytes) -> OpenedFile:
 
 
 def _fields(struct: Mapping[str, Any], path: str, depth: int = 1) -> dict[str, np.ndarray]:
-    """Numeric fields of a struct and of the structs in it, by their dotted path."""
     fields: dict[str, np.ndarray] = {}
     for key, value in struct.items():
         if isinstance(value, Mapping) and depth < DEPTH:
@@ -498,7 +497,6 @@ def open_excel(data: bytes) -> OpenedFile:
 
 
 def _rows(sheet: Any) -> Rows:
-    """Numbers as Python writes them, dates and times of day in ISO 8601, durations in seconds."""
     rows, cells, title = [], 0, repr(sheet.title[:40])
     sheet.reset_dimensions()  # programs write wrong ones
     for number, values in enumerate(sheet.iter_rows(values_only=True), 1):
@@ -516,7 +514,6 @@ def _rows(sheet: Any) -> Rows:
 
 
 def _text(value: Any) -> str:
-    """What a cell holds, as a text table would have it."""
     if isinstance(value, datetime | date | time):
         return value.isoformat()
     if isinstance(value, timedelta | bool):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tomllib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from itertools import combinations
@@ -95,13 +95,11 @@ UNFILLED = "TODO"  # stands on a starter card where the user has something to fi
 
 
 def _refuse(wrong: object, sentence: str) -> None:
-    """Raise the sentence if something is wrong."""
     if wrong:
         raise InputError(sentence)
 
 
 def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """A section of the card, empty where it is absent."""
     value = table.get(key, {})
     _refuse(not isinstance(value, dict), f"{key} must be a section, [{key}]")
     return value
@@ -114,6 +112,15 @@ def _known_keys(table: Mapping[str, Any], known: Collection[str], what: str) -> 
             close = get_close_matches(key, known, n=1)
             hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
             raise InputError(f"unknown {what} {key[:60]!r}; {hint}")
+
+
+def _entry(given: Any, keys: Sequence[str], needs: int, here: str, example: str = "") -> Mapping[str, Any]:
+    """A table of these keys, of which it must have the first so many."""
+    _refuse(not isinstance(given, dict), f"{here} must be a table with {', '.join(keys)}{example}")
+    _known_keys(given, keys, f"key of {here}")
+    for key in keys[:needs]:
+        _refuse(key not in given, f"{here} has no {key}{example or '; add it'}")
+    return given
 
 
 def _all_mapped(names: Iterable[str], known: Collection[str], what: str) -> None:
@@ -133,9 +140,8 @@ def _refuse_unfilled(table: Mapping[str, Any]) -> None:
             for part, given in value.items() if isinstance(value, dict) else [("", value)]:
                 if any(str(x).startswith(UNFILLED) for x in (given if isinstance(given, list) else [given])):
                     left.append(f"[{name}] {key} {part}".strip())
-    many = len(left) > 1
-    _refuse(left, f"{', '.join(left)} {'are' if many else 'is'} still {UNFILLED}; fill in what is missing, the comment "
-            f"beside {'each' if many else 'it'} says what it is")  # fmt: skip
+    listed = ", ".join(f"{entry} is still {UNFILLED}" for entry in left)
+    _refuse(left, f"{listed}; fill in what is missing, as the comment beside it says")
 
 
 def _strings(value: Any, sentence: str, *, empty: bool = False) -> tuple[str, ...]:
@@ -146,14 +152,12 @@ def _strings(value: Any, sentence: str, *, empty: bool = False) -> tuple[str, ..
 
 
 def _number(value: Any, where: str) -> float:
-    """A plain number."""
     plain = isinstance(value, int | float) and not isinstance(value, bool)
     _refuse(not plain, f"{where}: {str(value)[:60]!r} is not a number")
     return float(value)
 
 
 def _numbers(table: Any, where: str) -> dict[str, float]:
-    """A table of plain numbers."""
     _refuse(not isinstance(table, dict), f"{where} must be a table of numbers")
     return {key: _number(value, f"{where} {key}") for key, value in table.items()}
 
@@ -221,11 +225,9 @@ RULES: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 def _parse_channel(key: str, given: Any) -> Channel:
-    """One entry of [channels]."""
     here = f"channel {key}"
-    _refuse(not isinstance(given, dict), f'{here} must be a table, e.g. {{ column = 13, unit = "deg" }}')
-    _known_keys(given, ("column", "label", "unit", "required", "sign"), f"key of channel {key}")
-    _refuse("unit" not in given, f"{here} has no unit; state the unit that the file is in")
+    keys = ("unit", "column", "label", "required", "sign")
+    given = _entry(given, keys, 1, here, ', e.g. { column = 13, unit = "deg" }, the unit that the file is in')
     column, label, sign = given.get("column"), given.get("label"), given.get("sign", 1)
     whole = isinstance(column, int) and not isinstance(column, bool) and 1 <= column <= MOST_COLUMNS
     _refuse(
@@ -342,20 +344,15 @@ class LookupTable:
 def _parse_lookup(name: str, given: Any, channels: Mapping[str, Channel], formed: Mapping[str, Any]) -> LookupTable:
     """[tables.NAME]; `formed` are channels that the card states otherwise, by [constants] or [derived]."""
     here = f"[tables.{name}]"
-    _refuse(not isinstance(given, dict), f"{here} must be a table with unit, from and values")
-    _known_keys(given, ("unit", "from", "values"), f"key of {here}")
-    for key in ("unit", "from", "values"):
-        _refuse(key not in given, f"{here} has no {key}; add it, {_EXAMPLE}")
+    given = _entry(given, ("unit", "from", "values"), 3, here, f", {_EXAMPLE}")
     twice = name in formed or (name in channels and channels[name].required)
     _refuse(twice, f"{here}: the card states {name} elsewhere, too; keep one of them")
     entered = isinstance(given["from"], dict) and 1 <= len(given["from"]) <= MOST_AXES
     _refuse(not entered, f"{here} from must name one to {MOST_AXES} channels, {_EXAMPLE}")
     axes = []
-    for key, entry in given["from"].items():
+    for key, given_axis in given["from"].items():
         label = f"{here} from {key}"
-        _refuse(not isinstance(entry, dict), f"{label} must have unit and points, {_EXAMPLE}")
-        _known_keys(entry, ("unit", "points"), f"key of from {key}")
-        _refuse(len(entry) < 2, f"{label} must have unit and points, {_EXAMPLE}")
+        entry = _entry(given_axis, ("unit", "points"), 2, label, f", {_EXAMPLE}")
         _all_mapped([key], {*channels, *formed}, f"{here} from has")
         si = channels[key].si if key in channels else STANDARD_CHANNELS[key].unit
         points = to_si(_grid(entry["points"], f"{label}: points"), str(entry["unit"]), key, si)
@@ -376,7 +373,6 @@ def _parse_lookup(name: str, given: Any, channels: Mapping[str, Channel], formed
 
 
 def _grid(given: Any, what: str) -> np.ndarray:
-    """A list, or lists of lists, of finite numbers."""
     try:
         values = np.array(given, dtype=object)
         if values.size > MOST_VALUES or any(isinstance(x, bool) or not isinstance(x, int | float) for x in values.flat):
@@ -726,16 +722,12 @@ def _of_outputs(table: Mapping[str, Any], name: str) -> dict[str, float]:
 
 def _parse_parameter(key: str, given: Any) -> CardParameter:
     label = f"[parameters.{key}]"
-    _refuse(not isinstance(given, dict), f"{label} must be a table")
-    _known_keys(given, PARAMETER_KEYS, f"key of {label}")
+    given = _entry(given, PARAMETER_KEYS, 0, label)
     bounds, start, prior = given.get("bounds"), given.get("start"), given.get("prior")
     pair = isinstance(bounds, list) and len(bounds) == 2
     _refuse(bounds is not None and not pair, f"{label} bounds must be [lower, upper]")
     if prior is not None:
-        _refuse(not isinstance(prior, dict), f"{label} prior must be a table with family, location, scale and source")
-        _known_keys(prior, ("family", "location", "scale", "source"), "key of prior")
-        for part in ("family", "location", "scale"):
-            _refuse(part not in prior, f"{label} prior has no {part}")
+        prior = _entry(prior, ("family", "location", "scale", "source"), 3, f"{label} prior")
         location, scale = _number(prior["location"], label), _number(prior["scale"], label)
         try:
             source = str(prior.get("source", "our choice"))

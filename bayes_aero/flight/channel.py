@@ -119,7 +119,6 @@ UNITS: dict[str, tuple[str, ...]] = {
 
 
 def unit_choices(name: str) -> tuple[str, ...]:
-    """Units that files have a channel in."""
     return UNITS.get(STANDARD_CHANNELS[name].unit, ()) if name in STANDARD_CHANNELS else ()
 
 

@@ -122,7 +122,6 @@ def _text(value):
 
 
 def _attribute(value):
-    """Type and values of an attribute, as JSON has them."""
     array = np.asarray(value).reshape(-1)[:2100]
     array = array.astype(array.dtype.newbyteorder("="))
     if array.dtype.kind in "iufb":
@@ -265,7 +264,6 @@ def ulog(data):
 
 
 def groups_of(parsed):
-    """The reply on groups, and the arrays that follow it."""
     groups, remarks = parsed
     arrays, listed = [], []
     for name, time, columns in groups:

@@ -44,7 +44,6 @@ MAX_BYTES = 1 << 30  # largest file that is taken for one manoeuvre: 1 GiB
 
 @contextmanager
 def _named(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Begin what is wrong with a file with its name."""
     try:
         yield
     except InputError as reason:
@@ -216,7 +215,6 @@ class RawColumn:
 
     @property
     def place(self) -> str:
-        """How a person finds it in the file."""
         return f"column {self.number}" if self.label is None else repr(self.label)
 
 
@@ -229,7 +227,6 @@ class RawFile:
     remarks: tuple[str, ...] = ()
 
     def find(self, channel: Channel) -> RawColumn | None:
-        """The column that a card's channel names."""
         there = candidates(channel, [column.heading for column in self.columns])[:1]
         return next((column for column in self.columns if column.heading in there), None)
 
@@ -407,7 +404,6 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
 
 
 def _sampling(time: np.ndarray) -> dict[str, Any]:
-    """Samples, interval, duration, gaps and uneven steps of (n,) time stamps, as `RecordReport` has them."""
     step = np.diff(time)
     median = float(np.median(step)) if len(step) else float("nan")
     gap = step > GAP * median
@@ -595,7 +591,6 @@ def implausible(record: FlightRecord, standard: StandardChannel, channel: Channe
 
 
 def at(record: FlightRecord, index: int | np.integer) -> str:
-    """A sample in words."""
     return f"sample {int(index)} (counted from 0; t = {instant(record.time[index])} s)"
 
 

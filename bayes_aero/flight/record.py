@@ -216,12 +216,10 @@ class Segment:
 
     @property
     def whole(self) -> bool:
-        """Whether all of the file is meant."""
         return not self.words or self.words == ":"
 
     @property
     def label(self) -> str:
-        """A name for the record: the file's stem, and the part."""
         begin, end = (instant(limit) if np.isfinite(limit) else "" for limit in (self.begin, self.end))
         part = f"_part{self.part}" if self.part else f"_{begin}-{end}"
         return self.file.stem + ("" if self.whole else part)

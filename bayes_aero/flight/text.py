@@ -77,7 +77,6 @@ def located(channels: Sequence[Channel], opened: OpenedFile) -> dict[str, Headin
 
 
 def _absent(channel: Channel, headings: Sequence[Heading], kind: str) -> str:
-    """Why a required channel is not there, and what to do."""
     names = list(dict.fromkeys(name for heading in headings for name in heading.names))
     if not names and channel.column is None:
         return " has no column number on the card, and the file has no header; add column = N, or write a header line"
@@ -145,7 +144,6 @@ Lines = list[tuple[int, str]]  # lines of a file, each with its number, counted 
 
 
 def open_text(data: bytes) -> OpenedFile:
-    """A text file of any layout that `laid_out` finds."""
     lines = _lines(data)
     return text_table(laid_out(lines, separator_of(lines)))
 
@@ -201,7 +199,6 @@ def read_cells(layout: Layout, wanted: Mapping[str, Heading], remarks: list[str]
 
 
 def _lines(data: bytes) -> Lines:
-    """Decode; drop blank lines."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = data.decode("utf-16", errors="replace")
     elif b"\0" in data:
@@ -407,7 +404,6 @@ class Marks(NamedTuple):
 
 
 def is_blank(cell: str) -> bool:
-    """Whether a cell says that there is no value."""
     return cell.casefold() in BLANKS or (cell != "" and not cell.strip("*"))
 
 

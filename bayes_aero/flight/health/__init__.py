@@ -73,12 +73,10 @@ def shown(card: Card, name: str, value: float, *, size: bool = False) -> str:
 
 
 def span(record: FlightRecord, first: int, last: int) -> str:
-    """From when to when, in words."""
     return f"from {instant(record.time[first])} to {instant(record.time[last])} s"
 
 
 def when(record: FlightRecord, index: np.ndarray) -> str:
-    """The times of the first of some samples."""
     return f"t = {', '.join(f'{record.time[i]:.6g}' for i in index[:3])}{' ...' if len(index) > 3 else ''} s"
 
 
@@ -163,13 +161,6 @@ def quantum_of(x: np.ndarray) -> float:
     return float(np.median(steps[steps > 0.1 * large]))
 
 
-def level_step(x: np.ndarray) -> float:
-    """The distance of neighbouring levels of (n,) samples that take few values; zero if they take many."""
-    levels = np.unique(x)
-    gaps = np.diff(levels)
-    return float(np.median(gaps[gaps > 1e-6 * np.ptp(levels)])) if 2 <= len(levels) <= len(x) / 4 else 0.0
-
-
 def quantum(x: np.ndarray) -> float:
     """The least distance of different values among (n,) samples, which is that of the last digit written; 0 if none."""
     gaps = np.diff(np.unique(x))
@@ -189,7 +180,6 @@ def still_runs(x: np.ndarray) -> list[tuple[int, int]]:
 
 
 def longest(runs: Iterable[tuple[int, int]]) -> tuple[int, int]:
-    """The run with most samples."""
     return max(runs, key=lambda run: run[1] - run[0])
 
 
@@ -266,8 +256,6 @@ def _lag(x: np.ndarray, y: np.ndarray) -> int | None:
 
 
 class Agreement(StrEnum):
-    """The answer in a word."""
-
     AGREE = "agree"
     EXPLAINED = "disagree_explained"
     UNEXPLAINED = "disagree_unexplained"

@@ -17,7 +17,6 @@ from bayes_aero.flight.health import (
     declared,
     different_rates,
     finding,
-    level_step,
     longest,
     noise_of,
     quantum,
@@ -138,7 +137,6 @@ def frozen(record: FlightRecord, card: Card) -> Findings:
 
 
 def _must_move(record: FlightRecord, name: str) -> bool:
-    """Whether flight must move a channel that stands still throughout."""
     if name == "radio_altitude":
         return bool(record.has("altitude") and np.ptp(record["altitude"]) > 50.0)
     if name in CONTROLS:
@@ -182,7 +180,6 @@ def _stuck_surface(record: FlightRecord, name: str, runs: list[Run]) -> list[Run
 
 
 def _stuck(record: FlightRecord, rates: dict[str, np.ndarray], name: str, runs: list[Run]) -> list[Run]:
-    """Runs of a sensor that the other channels refute, or that its noise does."""
     x, stuck = record[name], []
     equal = np.diff(x) == 0.0
     for first, last in runs:
@@ -197,7 +194,7 @@ def _stuck(record: FlightRecord, rates: dict[str, np.ndarray], name: str, runs: 
             bias = np.median(rates[name] - np.gradient(x, record.time)) if name in ("alpha", "beta") else 0.0
             moved = float(np.ptp(np.cumsum(rates[name][part] - bias) * record.dt))
         if moved is not None:  # by so much as the other channels say
-            frozen = moved > max(4.0 * level_step(x), 5.0 * noise_of(x), MOVED.get(name, 0.0))
+            frozen = moved > max(4.0 * quantum_of(x), 5.0 * noise_of(x), MOVED.get(name, 0.0))
         else:
             # A computed signal scatters by its rounding alone, 0.3 of the last digit.
             scatters = noise_of(np.delete(x, np.s_[part])) > max(NOISELESS * float(np.ptp(x)), quantum(x))
@@ -331,7 +328,7 @@ def _flat(x: np.ndarray, extreme: float) -> Run | None:
     beside = min(length, max(4, length // 2))
     before, after = max(first - beside, 0), min(last + beside, len(x) - 1)
     slope = min(abs(x[first] - x[before]) / (first - before), abs(x[after] - x[last]) / (after - last))
-    step = max(level_step(x), quantum_of(x), quantum(x), noise)
+    step = max(quantum_of(x), quantum(x), noise)
     return (first, last) if 0.5 * length * slope > 5.0 * step else None
 
 

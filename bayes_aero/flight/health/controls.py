@@ -233,7 +233,6 @@ def _inside(u: np.ndarray, dt: float) -> slice:
 
 
 def _deflection(surface: str, record: FlightRecord) -> Float[np.ndarray, " n"] | None:
-    """The surface as recorded; ailerons also from their pair."""
     if surface == "aileron" and not record.has(surface) and all(map(record.has, PAIR)):
         return 0.5 * (record[PAIR[0]] - record[PAIR[1]])
     return record.channels.get(surface)

@@ -62,7 +62,6 @@ SCALE = 0.3  # error of scale that a sensor in the right unit may have; our choi
 
 
 def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
-    """Channels, constants and time of a record."""
     return channels_of(record, card) | {"time": record.time}
 
 
@@ -135,7 +134,6 @@ def side_bias(view: View) -> float:
 
 
 def integrated(rate: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """The integral of a (n,) rate over time, by the trapezium rule, zero at first."""
     return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (rate[:-1] + rate[1:]))])
 
 
@@ -172,7 +170,6 @@ class Reading:
 
     @property
     def names(self) -> str:
-        """Of whom it is said."""
         return self.subject or ", ".join(self.channels)
 
     def rivals(self, other: Reading) -> bool:
@@ -180,12 +177,10 @@ class Reading:
         return self.channels == other.channels and 1.0 not in (self.factor, other.factor)
 
     def of(self, view: View) -> dict[str, np.ndarray]:
-        """The view, read in this way."""
         return {**view, **self.changed(view)}
 
 
 def readings(view: View, card: Card) -> Iterator[Reading]:
-    """All other ways to read what was recorded."""
     for name in (*TURNED, "altitude"):
         if name in view:
             sign = -declared(card, name).sign
@@ -207,7 +202,6 @@ def readings(view: View, card: Card) -> Iterator[Reading]:
 
 
 def scaled(names: tuple[str, ...], factor: float, fault: str, looks: str, mend: str) -> Reading:
-    """Channels multiplied by a factor."""
     return Reading(names, fault, looks, mend, lambda view: {name: factor * view[name] for name in names})
 
 
