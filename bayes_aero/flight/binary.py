@@ -493,7 +493,7 @@ def open_excel(data: bytes) -> OpenedFile:
     for k, (number, row) in enumerate(rows):
         whole = k >= first or sum(map(bool, row)) > half
         lines.append((number, text.CELL.join(row + [""] * (width - len(row)) if whole else row)))
-    return text.text_table(text.laid_out(lines, text.CELL), remarks)
+    return text.laid_out(lines, text.CELL, remarks)
 
 
 def _rows(sheet: Any) -> Rows:

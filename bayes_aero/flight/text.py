@@ -145,28 +145,24 @@ Lines = list[tuple[int, str]]  # lines of a file, each with its number, counted 
 
 def open_text(data: bytes) -> OpenedFile:
     lines = _lines(data)
-    return text_table(laid_out(lines, separator_of(lines)))
+    return laid_out(lines, separator_of(lines))
 
 
-def text_table(layout: Layout, remarks: Iterable[str] = ()) -> OpenedFile:
-    """A laid-out table whose cells are still text."""
-    remarks = [*remarks, *layout.remarks]
-    return OpenedFile(layout.headings, lambda wanted: read_cells(layout, wanted, remarks), "column", remarks)
-
-
-def read_cells(layout: Layout, wanted: Mapping[str, Heading], remarks: list[str]) -> dict[str, FileColumn]:
+def read_cells(
+    body: Lines, separator: str | None, wanted: Mapping[str, Heading], remarks: list[str]
+) -> dict[str, FileColumn]:
     """See `OpenedFile.read`. Blank cells come back as NaN, clock times and dates in seconds from the first sample."""
     indices = [heading.column - 1 for heading in wanted.values() if heading.column is not None]
-    rows = [line for _, line in layout.body]
+    rows = [line for _, line in body]
     if not indices:
         return {}
-    if layout.separator == "," or not any("," in row for row in rows):  # plain numbers: NumPy's own parser
+    if separator == "," or not any("," in row for row in rows):  # plain numbers: NumPy's own parser
         try:
-            values = np.loadtxt(rows, delimiter=layout.separator, usecols=indices, ndmin=2, comments=None)
+            values = np.loadtxt(rows, delimiter=separator, usecols=indices, ndmin=2, comments=None)
             return {name: FileColumn(values[:, k], h.unit) for k, (name, h) in enumerate(wanted.items())}
         except (ValueError, IndexError):
             pass  # blanks, clock times, other marks than a decimal point, or text: cell by cell
-    split = [row.split(layout.separator) for row in rows]
+    split = [row.split(separator) for row in rows]
     cells = {name: [row[i].strip() for row in split] for name, i in zip(wanted, indices, strict=True)}
     firsts = {name: next((cell for cell in column if not is_blank(cell)), "") for name, column in cells.items()}
     clocks = {name for name, first in firsts.items() if looks_like_clock(first)}
@@ -187,7 +183,7 @@ def read_cells(layout: Layout, wanted: Mapping[str, Heading], remarks: list[str]
         except ValueError:
             raise InputError(
                 f"channel {name} has the text {column[sample][:30]!r} where {'a clock time' if clock else 'a number'} "
-                f"should be, in line {layout.body[sample][0]}, column {heading.column} (sample {sample}, counted from "
+                f"should be, in line {body[sample][0]}, column {heading.column} (sample {sample}, counted from "
                 "0); correct or delete that line"
             ) from None
         columns[name] = FileColumn(values, "s" if clock else heading.unit)
@@ -227,16 +223,6 @@ def _lines(data: bytes) -> Lines:
 # them.
 
 
-@dataclass(frozen=True)
-class Layout:
-    """A text table: headings of all columns, its samples, the separator of their cells (None: blanks), remarks."""
-
-    headings: tuple[Heading, ...]
-    body: Lines
-    separator: str | None
-    remarks: tuple[str, ...] = ()
-
-
 def separator_of(lines: Lines) -> str | None:
     """The separator that cuts the file into the most regular table of numbers."""
     some = _lower_part([line for _, line in lines if line[0] not in _COMMENT] or [line for _, line in lines])
@@ -273,8 +259,9 @@ def split(line: str, separator: str | None, number: int | None = None) -> list[s
     return cells
 
 
-def laid_out(lines: Lines, separator: str | None) -> Layout:
-    """Find header, units and samples. Raises InputError: no samples, or lines of different length among them."""
+def laid_out(lines: Lines, separator: str | None, remarks: Sequence[str] = ()) -> OpenedFile:
+    """Find header, units and samples of lines whose cells are so separated (None: by blanks). Raises InputError: no
+    samples, or lines of different length among them."""
     lines = [(at, line) for at, line in lines if not _SEP_LINE.fullmatch(line)]
     while lines and not lines[-1][1].strip(" \t,;|\x1f"):
         lines = lines[:-1]  # rows of separators at the end
@@ -295,9 +282,8 @@ def laid_out(lines: Lines, separator: str | None) -> Layout:
             raise InputError(f"it has a header (line {number}) but no samples below it; write the record again")
         header = split(line, separator, number)
         _refuse_ragged(lines[1:], separator, len(header))
-        return Layout(
-            tuple(Heading((name,) if name else (), k) for k, name in enumerate(header, 1)), lines[1:], separator
-        )
+        headings = tuple(Heading((name,) if name else (), k) for k, name in enumerate(header, 1))
+        return _table(headings, lines[1:], separator, remarks)
     rows, begin = _header(lines, first, separator, width)
     body = [(at, line) for at, line in lines[first:] if line[0] not in _COMMENT]
     if separator is not None and any('"' in line for _, line in body):
@@ -314,8 +300,15 @@ def laid_out(lines: Lines, separator: str | None) -> Layout:
     headings = tuple(
         Heading(tuple(dict.fromkeys(row[k] for row in names if row[k])), k + 1, units[k] or None) for k in range(width)
     )
-    remark = f"line {lines[begin][0]} is taken for the first of the table; what stands above it is skipped"
-    return Layout(headings, body, separator, (remark,) if any(x[0] not in _COMMENT for _, x in lines[:begin]) else ())
+    if any(line[0] not in _COMMENT for _, line in lines[:begin]):
+        skipped = f"line {lines[begin][0]} is taken for the first of the table; what stands above it is skipped"
+        remarks = [*remarks, skipped]
+    return _table(headings, body, separator, remarks)
+
+
+def _table(headings: Sequence[Heading], body: Lines, separator: str | None, remarks: Sequence[str]) -> OpenedFile:
+    said = [*remarks]
+    return OpenedFile(headings, lambda wanted: read_cells(body, separator, wanted, said), "column", said)
 
 
 def _lower_part(rows: Sequence[Any]) -> list[Any]:

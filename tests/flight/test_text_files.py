@@ -253,9 +253,9 @@ def test_a_unit_in_the_heading_counts(tmp_path):
 def test_a_table_of_two_columns():
     rows = ["Sampling;25 Hz", "time;alpha", *(f"0,{k:02d};1,{k}" for k in range(10, 60))]
     lines = list(enumerate(rows, 1))
-    layout = laid_out(lines, separator_of(lines))
-    assert [h.names for h in layout.headings] == [("Sampling", "time"), ("25 Hz", "alpha")]
-    assert len(layout.body) == 50
+    opened = laid_out(lines, separator_of(lines))
+    assert [h.names for h in opened.headings] == [("Sampling", "time"), ("25 Hz", "alpha")]
+    assert len(opened.read({"alpha": opened.headings[1]})["alpha"].values) == 50
 
 
 # CSV files with quoted cells that hold the separator: headings, decimal commas, and what cannot be told
