@@ -357,9 +357,7 @@ def open_mat(data: bytes) -> OpenedFile:
     contents |= {path: (values.shape, "double") for path, values in fields.items()}
     names, listed = by_path(contents, "."), []
     for path, (shape, kind) in contents.items():
-        problem = (
-            f"is a {kind} where numbers should be; store one numeric vector a channel, or a struct of such vectors"
-        )
+        problem = f"is a {kind} where numbers should be; store a numeric vector a channel, or a struct of these"
         listed.append(Variable(path, names[path], shape, problem="" if kind in NUMERIC else problem))
 
     def load(places: Places) -> dict[str, np.ndarray]:
@@ -400,9 +398,7 @@ def _bounded(data: bytes) -> int:
                 inner = zlib.decompressobj().decompress(data[position + 8 : position + 8 + min(size, 4096)], 8)
             claimed = int.from_bytes(inner[4:8], order)
         if claimed > 8 * text.MAX_VALUES + 4096:
-            raise InputError(
-                f"it claims a variable of {claimed} bytes; is it damaged? In MATLAB, save it again with -v7"
-            )
+            raise InputError(f"it claims a variable of {claimed} bytes; in MATLAB, save it again with -v7")
         position, total = position + 8 + size, total + claimed
     return total
 

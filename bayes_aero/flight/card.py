@@ -379,9 +379,7 @@ def _grid(given: Any, what: str) -> np.ndarray:
             raise ValueError
         values = values.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(
-            f"{what} must be a list of plain numbers (rows of one length), {MOST_VALUES} at most"
-        ) from None
+        raise InputError(f"{what} must be a list of plain numbers, {MOST_VALUES} at most") from None
     _refuse(not np.isfinite(values).all(), f"{what} must be finite numbers")
     return values
 
@@ -617,9 +615,7 @@ def read_card(name_or_path: str | Path) -> Card:
     cards = shipped_cards()
     path = cards.get(str(name_or_path), Path(name_or_path))
     if not is_file(path):
-        raise InputError(
-            f"there is no card {str(name_or_path)[:200]!r}: give a .toml file or one of {', '.join(cards) or 'none'}"
-        )
+        raise InputError(f"no card {str(name_or_path)[:200]!r}: give a .toml file or one of {', '.join(cards)}")
     raw, table = read_table(path, "card")
     card = parse_card(table, path.stem, str(path), hashlib.sha256(raw).hexdigest())
     return card if str(name_or_path) in cards else replace(card, path=str(path))

@@ -148,9 +148,7 @@ def format_of(path: Path) -> Callable[[bytes], OpenedFile]:
     """What opens a file, told by its suffix."""
     if (suffix := path.suffix.lower()) not in READERS:
         given = f"the suffix {path.suffix!r}" if path.suffix else "a file without suffix"
-        raise InputError(
-            f"{given} is not known; flight records end in {', '.join(READERS)}: rename or convert the file"
-        )
+        raise InputError(f"{given} is not known; flight records end in {', '.join(READERS)}: convert the file")
     return READERS[suffix]
 
 

@@ -133,9 +133,7 @@ class FlightRecord:
         close = get_close_matches(channel, self.channels, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
         mapped = ", ".join(self.names)
-        raise InputError(
-            f"record {self.name} has no channel {channel}{hint}; the card maps these: {mapped}; add it to [channels]"
-        )
+        raise InputError(f"record {self.name} has no channel {channel}{hint}; the card maps {mapped}; add it there")
 
     def window(self, t0: float, t1: float) -> FlightRecord:
         """The samples with t0 <= time <= t1 (s), as a new record with the same source.
@@ -307,9 +305,7 @@ def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: S
     except InputError as reason:
         raise InputError(f"{target}: {reason}") from reason
     except OSError as reason:
-        raise InputError(
-            f"{target}: it cannot be written ({reason.strerror}); check the folder and its permissions"
-        ) from reason
+        raise InputError(f"{target}: it cannot be written ({reason.strerror}); check the folder") from reason
 
 
 def _asc(columns: Columns, buffer: io.BytesIO) -> None:

@@ -120,9 +120,7 @@ def foreign(kind: str) -> Iterator[None]:
     except InputError:
         raise
     except MemoryError as reason:
-        raise InputError(
-            f"it claims more data than there is memory for; is it damaged? Write the {kind} again"
-        ) from reason
+        raise InputError(f"it claims more data than memory holds; is it damaged? Write the {kind} again") from reason
     except Exception as reason:
         why = " ".join(str(reason).split())[:120] or type(reason).__name__
         raise InputError(f"it is not a readable {kind} ({why}); is it damaged or misnamed? Write it again") from reason
@@ -253,9 +251,7 @@ def split(line: str, separator: str | None, number: int | None = None) -> list[s
         reader = csv.reader([line, ""], delimiter=separator, skipinitialspace=True)
         cells = [cell.strip() for cell in next(reader)]
         if reader.line_num > 1 and number is not None:  # it went on, to look for the end of a cell
-            raise InputError(
-                f"line {number} has a quote that is not closed; close it (no cell goes on in the next line)"
-            )
+            raise InputError(f"line {number} has a quote that is not closed; close it (no cell goes on below)")
     return cells
 
 
