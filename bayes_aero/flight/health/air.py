@@ -8,19 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import binary_closing, median_filter, uniform_filter1d
 
+from bayes_aero.flight import health
 from bayes_aero.flight.card import ATMOSPHERE, RULES, Card
 from bayes_aero.flight.channel import unit_choices
-from bayes_aero.flight.health import (
-    Findings,
-    HealthFinding,
-    channels_of,
-    declared,
-    finding,
-    longest,
-    other_units,
-    runs_of,
-    shown,
-)
+from bayes_aero.flight.health import Findings, HealthFinding
 from bayes_aero.flight.health.kinematics import DENSITY0, View, thinness
 from bayes_aero.flight.record import SHORTEST as FEWEST
 from bayes_aero.flight.record import FlightRecord, parts_of
@@ -63,7 +54,7 @@ class _Ratio:
         """A finding if a unit explains the factor, or none does."""
         culprits, name = [], next(iter(self.powers))
         for n, power in self.powers.items():
-            left = {u: abs(np.log(self.k * x**power)) for u, x in other_units(card, n, unit_choices(n))}
+            left = {u: abs(np.log(self.k * x**power)) for u, x in health.other_units(card, n, unit_choices(n))}
             culprits += [(n, unit) for unit in sorted(left, key=left.__getitem__) if left[unit] < self.limits[1]]
         if not _off(self.k, self.limits) or (not culprits and self.unnamed is None):
             return []
@@ -71,11 +62,11 @@ class _Ratio:
         if not culprits:
             mend = f"correct {' or '.join(self.powers)} in the file, or take it off the card"
             sentence = f"{said} (no unit explains it); {mend}"
-            return [finding(record, name, "factor", sentence, grave=bool(self.unnamed))]
+            return [health.finding(record, name, "factor", sentence, grave=bool(self.unnamed))]
         channel, unit = culprits[0]
-        why = " or ".join(f"{n}, {declared(card, n).unit} on the card, is in {u}" for n, u in culprits)
+        why = " or ".join(f"{n}, {health.declared(card, n).unit} on the card, is in {u}" for n, u in culprits)
         sentence = f'{said} ({why}); set unit = "{unit}" for {channel} on the card'
-        return [finding(record, channel, "unit", sentence, grave=channel in grave)]
+        return [health.finding(record, channel, "unit", sentence, grave=channel in grave)]
 
 
 # --- Quantities that several channels make together: density, dynamic pressure, Mach number, altitude, weight.
@@ -129,7 +120,7 @@ def _ratios(record: FlightRecord, card: Card, view: View) -> Iterator[_Ratio]:
 
 def _view(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     """Finite channels and constants where the aircraft moves, and density by the card's rule if it was not recorded."""
-    channels = channels_of(record, card)
+    channels = health.channels_of(record, card)
     V = channels.get("airspeed")
     moving = np.ones(record.n, bool) if V is None else max(0.5 * float(np.nanmedian(V)), 1.0) < V
     view = {name: x[moving] for name, x in channels.items() if np.isfinite(x).all()}
@@ -166,19 +157,19 @@ def _density(record: FlightRecord, card: Card, view: View) -> Findings:
     yield from named
     if named or not _off(k, DAY):
         return
-    for unit, factor in other_units(card, "altitude", unit_choices("altitude")):
+    for unit, factor in health.other_units(card, "altitude", unit_choices("altitude")):
         near = abs(np.log(_middle(view["density"] / standard_air(factor * view["altitude"])[0]))) < DAY[1]
         if near and record.has("altitude") and "density" not in card.constants:
-            yield finding(
+            yield health.finding(
                 record, "altitude", "unit",
-                f"altitude, {declared(card, 'altitude').unit} on the card, looks like {unit}: the density is {k:.3g} "
-                f'times that of a standard atmosphere there; set unit = "{unit}" for altitude on the card', None,
+                f"altitude looks like {unit}: the density is {k:.3g} times that of a standard atmosphere there; set "
+                f'unit = "{unit}" for altitude on the card', None,
                 grave=not record.has("density"),
             )  # fmt: skip
             return
-    name, height = next(iter(powers)), shown(card, "altitude", _middle(view["altitude"]))
+    name, height = next(iter(powers)), health.shown(card, "altitude", _middle(view["altitude"]))
     stated = not record.has("density") and "density" in card.constants
-    yield finding(
+    yield health.finding(
         record, name, "density",
         f"the density, {_middle(view['density']):.3g} kg/m^3, is {k:.3g} times that of a standard atmosphere at "
         f"the altitude, {height}; no unit explains it: correct {name} or altitude", None,
@@ -193,7 +184,7 @@ def _level_flight(record: FlightRecord, card: Card, view: View) -> Findings:
     CL = _middle(mass * GRAVITY / np.maximum(0.5 * view["density"] * view["airspeed"] ** 2 * area, 1e-9))
     if LEAST <= CL <= MOST or not np.isfinite(mass * area):
         return
-    yield finding(
+    yield health.finding(
         record, "airspeed" if THINNEST < rho < THICKEST else "density", "load",
         f"level flight would need a lift coefficient of {CL:.3g} (mass {mass:.4g} kg, wing area {area:.4g} m^2, "
         f"density {rho:.3g} kg/m^3, airspeed {V:.4g} m/s): correct the unit of one of them on the card", None,
@@ -212,7 +203,7 @@ def on_ground(record: FlightRecord, card: Card) -> Findings:
         parts = " and ".join(f"{instant(record.time[a])} to {instant(record.time[b])} s" for a, b in runs[:3])
         seconds = sum(b - a + 1 for a, b in runs) * record.dt
         slow = np.median(np.concatenate([record["airspeed"][a : b + 1] for a, b in runs]))
-        yield finding(
+        yield health.finding(
             record, "airspeed", "ground",
             f"airspeed is too low to fly from {parts} ({seconds:.3g} s, median {slow:.3g} m/s): the aircraft is on the "
             "ground there; cut these parts out of the record", (runs[0][0], runs[-1][1]),
@@ -222,7 +213,7 @@ def on_ground(record: FlightRecord, card: Card) -> Findings:
 def in_flight(record: FlightRecord, card: Card) -> FlightRecord:
     """The longest part of the record that is flown, under the record's name; the record itself if all of it is."""
     edges = [-1, *(i for a, b in grounded(record, card) for i in (a - 1, b)), record.n - 1]
-    first, last = longest(zip(edges[::2], edges[1::2], strict=True))
+    first, last = health.longest(zip(edges[::2], edges[1::2], strict=True))
     if len(edges) == 2 or last - first < FEWEST:
         return record
     return replace(record.window(record.time[first + 1], record.time[last]), name=record.name)
@@ -249,9 +240,8 @@ def grounded(record: FlightRecord, card: Card) -> list[tuple[int, int]]:
         record["altitude"] if record.has("altitude") else np.zeros(record.n), DROPOUTS, mode="nearest"
     )
     # The altitude of a runway and its noise stay within 15 m.
-    return [
-        (a, b) for a, b in runs_of(too_slow) if (b - a) * record.dt >= SHORTEST and np.ptp(height[a : b + 1]) < 15.0
-    ]  # fmt: skip
+    runs = [(a, b) for a, b in health.runs_of(too_slow) if np.ptp(height[a : b + 1]) < 15.0]
+    return [(a, b) for a, b in runs if (b - a) * record.dt >= SHORTEST]
 
 
 # --- The parts of a file that are worth a record of their own: those in flight, and the manoeuvres in them.
@@ -312,6 +302,6 @@ def _manoeuvres(part: FlightRecord) -> list[tuple[int, int]]:
             moving |= spread > max(np.deg2rad(least), 4.0 * float(np.quantile(spread, 0.1)))  # the quiet tenth
     pause, lead = max(round(PAUSE / part.dt), 1), max(round(LEAD / part.dt), 1)
     moving, kept = binary_closing(np.pad(moving, pause), np.ones(pause))[pause:-pause], np.zeros(part.n, bool)
-    for a, b in runs_of(moving):
+    for a, b in health.runs_of(moving):
         kept[max(a - lead, 0) : b + lead + 1] |= (b - a) * part.dt >= BRIEFEST
-    return [(a, b + 1) for a, b in runs_of(kept) if b + 1 - a >= FEWEST]
+    return [(a, b + 1) for a, b in health.runs_of(kept) if b + 1 - a >= FEWEST]

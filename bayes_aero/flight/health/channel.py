@@ -7,28 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
+from bayes_aero.flight import health
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health import (
-    CONTROLS,
-    Findings,
-    HealthFinding,
-    as_filed,
-    decided,
-    declared,
-    different_rates,
-    finding,
-    longest,
-    noise_of,
-    quantum,
-    quantum_of,
-    runs_of,
-    same_records,
-    short,
-    shown,
-    span,
-    still_runs,
-    when,
-)
+from bayes_aero.flight.health import CONTROLS, Findings, HealthFinding
 from bayes_aero.flight.health.air import air_data, in_flight, on_ground
 from bayes_aero.flight.health.controls import TURNS, answers_no_input, answers_unmoved, control_responses, feedback
 from bayes_aero.flight.health.kinematics import dead_heading, rates_of, refuted, view_of
@@ -46,13 +27,13 @@ def dropouts(record: FlightRecord, card: Card) -> Findings:
             continue
         at, value = _dropped(x, record.dt, name in CONTROLS)
         if at.any():
-            filed, unit = float(as_filed(card, name, value)), declared(card, name).unit
+            filed, unit = float(health.as_filed(card, name, value)), health.declared(card, name).unit
             index = np.flatnonzero(at)
-            yield finding(
+            yield health.finding(
                 record, name, "dropout",
                 f"{name} drops to {filed:.6g} {'' if unit == '1' else unit + ' '}in {len(index)} of {record.n} samples "
-                f"({when(record, index)}), far from the samples around them: a dropout of the sensor or the recorder; "
-                "cut these samples out or interpolate across them in the file", (int(index[0]), int(index[-1])),
+                f"({health.when(record, index)}), far from the samples around them: a dropout; cut these samples out "
+                "or interpolate across them in the file", (int(index[0]), int(index[-1])),
             )  # fmt: skip
 
 
@@ -61,13 +42,14 @@ def _dropped(x: np.ndarray, dt: float, control: bool) -> tuple[np.ndarray, float
     best, value, steps = np.zeros(len(x), bool), 0.0, np.abs(np.diff(x, prepend=x[:1]))
     if len(x) < 8 or not steps.any():
         return best, value
-    floor = max(AWAY * noise_of(x), 3.5 * quantum_of(x), 1e-9 * float(np.abs(x).max()))  # 3.5 recording steps
+    steps_away = 3.5 * health.quantum_of(x)  # recording steps
+    floor = max(AWAY * health.noise_of(x), steps_away, 1e-9 * float(np.abs(x).max()))
     away = np.abs(x - median_filter(x, 5, mode="nearest"))
     levels, counts = np.unique(x, return_counts=True)
     suspect = np.isin(levels, x[np.maximum(away, steps) > floor]) & ((counts > 1) | (levels == 0.0))
     for level in levels[suspect][np.argsort(-counts[suspect], kind="stable")][:20]:  # the most frequent first
         at = _dropped_at(x, level, floor, dt, control)
-        if at.sum() > best.sum() and (level == 0.0 or len(runs_of(at)) > 1 or at.sum() > 3):
+        if at.sum() > best.sum() and (level == 0.0 or len(health.runs_of(at)) > 1 or at.sum() > 3):
             best, value = at, float(level)
     # Equal samples are no chance in a channel whose other levels occur once.
     continuous = np.mean(counts[levels != value] == 1) > 0.95
@@ -83,7 +65,7 @@ def _dropped_at(x: np.ndarray, level: float, floor: float, dt: float, control: b
     line, local = np.interp(index, kept, x[kept]), np.abs(np.diff(x[kept]))
     pace = np.interp(index, kept[1:], median_filter(local, 11, mode="nearest"))
     enough = np.maximum(floor, AWAY * np.maximum(pace, 0.25 * np.quantile(local, 0.9)))
-    for first, last in runs_of(at):
+    for first, last in health.runs_of(at):
         beside = [i for i in (first - 1, last + 1) if 0 <= i < len(x)]
         leaves = all(abs(x[i] - level) > enough[i] for i in beside)
         returns = len(beside) < 2 or np.ptp(x[beside]) <= max(enough[first], 3.0 * (last - first + 2) * pace[first])
@@ -110,29 +92,29 @@ def frozen(record: FlightRecord, card: Card) -> Findings:
     rates = rates_of(view)
     for name, x in record.channels.items():
         if name == "psi" and all(map(record.has, ("theta", "phi", "q", "r"))) and dead_heading(view):
-            yield finding(
+            yield health.finding(
                 record, name, "frozen",
-                f"psi stays at {shown(card, 'psi', float(np.median(x)))} while the rates turn the aircraft: the "
+                f"psi stays at {health.shown(card, 'psi', float(np.median(x)))} while the rates turn the aircraft: the "
                 "heading is dead, and the flight path is reconstructed without it; correct its column or label on the "
                 "card, or take it off", grave=False,
             )  # fmt: skip
-        runs = [run for run in still_runs(x) if (run[1] - run[0]) * record.dt >= SHORTEST]
+        runs = [run for run in health.still_runs(x) if (run[1] - run[0]) * record.dt >= SHORTEST]
         if np.ptp(x) == 0.0:
             if _must_move(record, name):
-                yield finding(
+                yield health.finding(
                     record, name, "frozen",
-                    f"{name} stands at {shown(card, name, x[0])} throughout: no signal was recorded; correct its "
-                    "column or label on the card, or take it off the card",
+                    f"{name} stands at {health.shown(card, name, x[0])} throughout: no signal was recorded; correct "
+                    "its column or label on the card, or take it off the card",
                     grave=name not in ("radio_altitude", "calibrated_airspeed"),
                 )  # fmt: skip
         elif runs := (_stuck_surface(record, name, runs) if name in CONTROLS else _stuck(record, rates, name, runs)):
-            first, last = longest(runs)
+            first, last = health.longest(runs)
             more = f", and in {len(runs) - 1} more stretches" if len(runs) > 1 else ""
-            yield finding(
+            yield health.finding(
                 record, name, "frozen",
-                f"{name} is frozen at {shown(card, name, x[first])} {span(record, first, last)} ({last - first + 1} "
-                f"equal samples{more}), longer than its noise and the other channels allow; cut this part out of the "
-                "record", (first, last),
+                f"{name} is frozen at {health.shown(card, name, x[first])} {health.span(record, first, last)} "
+                f"({last - first + 1} equal samples{more}), longer than its noise and the other channels allow; cut "
+                "this part out of the record", (first, last),
             )  # fmt: skip
 
 
@@ -167,7 +149,7 @@ def _stuck_surface(record: FlightRecord, name: str, runs: list[Run]) -> list[Run
     x, least = record[name], np.inf
     moving = np.delete(x, np.concatenate([np.arange(a, b + 1) for a, b in runs] or [[]]).astype(int))
     share = float(np.mean(np.diff(moving) == 0.0)) if len(moving) > SHORTEST / record.dt else 1.0
-    if share < CONTINUOUS and noise_of(moving) > quantum(moving):
+    if share < CONTINUOUS and health.noise_of(moving) > health.quantum(moving):
         # Noise above the last digit, not motion: its differences grow with their order, those of third and sixth order
         # of white noise by the root of 924/20, those of motion shrink.
         third, sixth = (float(np.median(np.abs(np.diff(moving, order)))) for order in (3, 6))
@@ -194,10 +176,10 @@ def _stuck(record: FlightRecord, rates: dict[str, np.ndarray], name: str, runs: 
             bias = np.median(rates[name] - np.gradient(x, record.time)) if name in ("alpha", "beta") else 0.0
             moved = float(np.ptp(np.cumsum(rates[name][part] - bias) * record.dt))
         if moved is not None:  # by so much as the other channels say
-            frozen = moved > max(4.0 * quantum_of(x), 5.0 * noise_of(x), MOVED.get(name, 0.0))
+            frozen = moved > max(4.0 * health.quantum_of(x), 5.0 * health.noise_of(x), MOVED.get(name, 0.0))
         else:
             # A computed signal scatters by its rounding alone, 0.3 of the last digit.
-            scatters = noise_of(np.delete(x, np.s_[part])) > max(NOISELESS * float(np.ptp(x)), quantum(x))
+            scatters = health.noise_of(np.delete(x, np.s_[part])) > max(NOISELESS * float(np.ptp(x)), health.quantum(x))
             often = CONTINUOUS if name in ("ax", "ay", "az", "p", "q", "r") else SELDOM
             frozen = share < often and scatters and _others_move(record, name, (first, last))
         stuck += [(first, last)] if frozen else []
@@ -231,7 +213,7 @@ def held(record: FlightRecord, _card: Card) -> Findings:
         mend = "harmless for a slow signal; do not read its noise as the sensor's"
         if fast:
             mend = f"resample the record to that rate (--resample {period * record.dt:.4g}), or record them faster"
-        yield finding(
+        yield health.finding(
             record, (fast or names)[0], "held",
             f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} {how} over {period:.3g} samples: the true rate "
             f"is {1.0 / (period * record.dt):.3g} Hz in a record of {1.0 / record.dt:.4g} Hz{late}; {mend}",
@@ -266,7 +248,7 @@ def interpolated_period(x: np.ndarray) -> int:
     kind once in 2 to the power of `LINES`. Knots between samples are not sought."""
     if len(x) < 4 * FEWEST or not np.diff(x, 2).any():
         return 0
-    best, step = 0, quantum(x)
+    best, step = 0, health.quantum(x)
 
     def off_lines(first: int, period: int) -> np.ndarray:
         """How far samples are from the line between every `period`-th one, (lines, period - 1)."""
@@ -301,34 +283,34 @@ def saturated(record: FlightRecord, card: Card) -> Findings:
         x = record.channels.get(name, np.zeros(1))
         for extreme, end in ((float(x.max()), "upper"), (float(x.min()), "lower")):
             if run := _flat(x, extreme):
-                yield finding(
+                yield health.finding(
                     record, name, "saturated",
-                    f"{name} is cut off at {shown(card, name, extreme)}, the {end} end of its range: "
-                    f"{int(np.sum(x == extreme))} samples stand there, the longest stretch {span(record, *run)}; the "
-                    "sensor or its converter is saturated, so cut these parts out or use a sensor of larger range", run,
+                    f"{name} is cut off at {health.shown(card, name, extreme)}, the {end} end of its range: "
+                    f"{int(np.sum(x == extreme))} samples stand there, most {health.span(record, *run)}; cut these "
+                    "parts out or use a sensor of larger range", run,
                 )  # fmt: skip
 
 
 def _flat(x: np.ndarray, extreme: float) -> Run | None:
     """The longest run at the extreme, where the signal would have gone well beyond it."""
-    at, steps, noise = x == extreme, np.diff(x), noise_of(x)
-    runs = [(a, b) for a, b in runs_of(at) if a > 0 and b < len(x) - 1]
+    at, steps, noise = x == extreme, np.diff(x), health.noise_of(x)
+    runs = [(a, b) for a, b in health.runs_of(at) if a > 0 and b < len(x) - 1]
     if not 6 <= int(at.sum()) <= 0.5 * len(x) or not runs:  # a channel that stands there is no cut-off peak
         return None
-    first, last = longest(runs)
+    first, last = health.longest(runs)
     length = last - first + 1
     usual = max(float(np.quantile(np.abs(steps), 0.9)), abs(x[first] - x[first - 1]))
     by_chance = int(at.sum()) <= 1.2 * length and abs(x[last + 1] - x[last]) > 2.0 * usual  # frozen, then jumps away
     if length < 3 or by_chance or noise < 0.1 * NOISELESS * np.ptp(x):
         return None
-    if np.mean(steps[~(at[1:] & at[:-1])] == 0.0) < 0.03 and noise > 3.0 * quantum(x):
+    if np.mean(steps[~(at[1:] & at[:-1])] == 0.0) < 0.03 and noise > 3.0 * health.quantum(x):
         return first, last  # a signal that moves by many of its steps from sample to sample rests nowhere by chance
     # It would have gone on beyond the run by half its length at the slope on both sides. A slope read over less than
     # half the run would be that of one step of a rounded peak, which stays below four steps.
     beside = min(length, max(4, length // 2))
     before, after = max(first - beside, 0), min(last + beside, len(x) - 1)
     slope = min(abs(x[first] - x[before]) / (first - before), abs(x[after] - x[last]) / (after - last))
-    step = max(quantum_of(x), quantum(x), noise)
+    step = max(health.quantum_of(x), health.quantum(x), noise)
     return (first, last) if 0.5 * length * slope > 5.0 * step else None
 
 
@@ -342,10 +324,10 @@ def wrapped(record: FlightRecord, _card: Card) -> Findings:
             at = np.flatnonzero(np.abs(spread - turn) < 0.1 * turn)
             at = at[np.diff(at, prepend=-within - 9) > within]
             if len(at):
-                yield finding(
+                yield health.finding(
                     record, name, "wrapped",
-                    f"{name}: the {word} jumps by {np.degrees(turn):.0f} deg {len(at)} times ({when(record, at + 1)}), "
-                    "where it passes the end of its range; unwrap it in the file, or its rate is wrong there",
+                    f"{name}: the {word} jumps by {np.degrees(turn):.0f} deg {len(at)} times "
+                    f"({health.when(record, at + 1)}) at the end of its range; unwrap it in the file",
                     (int(at[0]), int(at[-1]) + 1), grave=name == "phi",
                 )  # fmt: skip
                 break
@@ -353,7 +335,7 @@ def wrapped(record: FlightRecord, _card: Card) -> Findings:
 
 # --- Every check of a record.
 
-_CHECKS = (air_data, dropouts, frozen, held, saturated, wrapped, short, decided)
+_CHECKS = (air_data, dropouts, frozen, held, saturated, wrapped, health.short, health.decided)
 
 
 def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthFinding, ...]:
@@ -367,7 +349,7 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
         if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind", "factor") for f in of_record):
             findings += on_ground(record, card)
         findings += of_record
-    findings += [*same_records(records), *different_rates(records), *feedback(records, card)]
+    findings += [*health.same_records(records), *health.different_rates(records), *feedback(records, card)]
     return tuple(sorted(findings, key=lambda f: not f.grave))
 
 
