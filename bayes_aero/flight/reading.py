@@ -465,12 +465,12 @@ def _unusable(record: FlightRecord, even: bool) -> Iterator[str]:
         if not bad.any() or bridged:
             continue
         first = int(np.argmax(bad))
+        what = "empty or not a number (NaN)" if missing[first] else "infinite"
+        where = f"sample {first} (counted from 0)" if name == "time" else at(record, first)
         yield (
-            f"channel {name} is {'empty or not a number (NaN)' if missing[first] else 'infinite'} at "
-            f"{f'sample {first} (counted from 0)' if name == 'time' else at(record, first)}, {int(bad.sum())} of "
-            f"{record.n} samples in all; repair or cut out these samples, ask for resampling if they are few or the "
-            f"file is of several rates (--resample {_sampling_step(record):.4g}: between a channel's own "
-            "samples), or take the channel off the card if it is not needed"
+            f"channel {name} is {what} at {where}, {int(bad.sum())} of {record.n} samples in all; repair or cut out "
+            f"these samples, ask for resampling if they are few or the file is of several rates (--resample "
+            f"{_sampling_step(record):.4g}), or take the channel off the card if it is not needed"
         )
         break
     back = np.diff(record.time) <= 0.0
@@ -505,16 +505,14 @@ def _of_sampling(record: FlightRecord, channel: Channel | None, even: bool) -> I
     if even and gaps.any():
         i = int(np.argmax(gaps))
         yield (
-            f"channel time has a gap of {step[i]:.6g} s after {at(record, i)}, where {median:.6g} s is the "
-            "sampling interval; divide the record there (--split, or FILE@FROM:TO), or ask for resampling if the gap "
-            "is short"
+            f"channel time has a gap of {step[i]:.6g} s after {at(record, i)}, where {median:.6g} s is usual; divide "
+            "the record there (--split, or FILE@FROM:TO), or ask for resampling if the gap is short"
         )
     elif even and off.any():
         i = int(np.argmax(off))
         yield (
-            f"channel time is sampled unevenly: the step after {at(record, i)} is {step[i]:.6g} s, the median step "
-            f"{median:.6g} s, {int(off.sum())} steps differ by more than {JITTER:.0%}; write time with more digits, or "
-            f"ask for resampling (--resample {float(np.mean(step)):.4g})"
+            f"channel time is sampled unevenly: the step after {at(record, i)} is {step[i]:.6g} s, the median {median:.6g}"
+            f" s; write time with more digits, or ask for resampling (--resample {float(np.mean(step)):.4g})"
         )
 
 
@@ -524,10 +522,10 @@ def _of_values(record: FlightRecord, card: Mapped) -> Iterator[str]:
         bad = record[name] <= 0.0 if record.has(name) else np.zeros(1, bool)
         if bad.any():
             i = int(np.argmax(bad))
+            unit, count = STANDARD_CHANNELS[name].unit, int(bad.sum())
             yield (
-                f"channel {name} is {record[name][i]:.6g} {STANDARD_CHANNELS[name].unit} at {at(record, i)}, "
-                f"{int(bad.sum())} samples not above zero; coefficients divide by dynamic pressure: cut the record to "
-                "the part in flight, or repair the channel"
+                f"channel {name} is {record[name][i]:.6g} {unit} at {at(record, i)}, {count} samples not above zero: "
+                "cut the record to the part in flight, or repair the channel"
             )
             break
     if all(map(record.has, ("ax", "ay", "az"))) and not ("az" in card and same_unit(card["az"].unit, "g")):
