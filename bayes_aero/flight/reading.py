@@ -511,7 +511,7 @@ def _of_sampling(record: FlightRecord, channel: Channel | None, even: bool) -> I
     elif even and off.any():
         i = int(np.argmax(off))
         yield (
-            f"channel time is sampled unevenly: the step after {at(record, i)} is {step[i]:.6g} s, the median {median:.6g}"
+            f"channel time is sampled unevenly: the step after {at(record, i)} is {step[i]:.6g} s, not {median:.6g}"
             f" s; write time with more digits, or ask for resampling (--resample {float(np.mean(step)):.4g})"
         )
 
