@@ -543,17 +543,11 @@ def _of_values(record: FlightRecord, card: Mapped) -> Iterator[str]:
         )
 
 
-# --- Values that no sound record has: fill values first, then units; the card's own unit is never advised.
-
-_DIGITS = ("99", "999", "9999", "99999", "999999", "9999999", "99.99", "999.9", "999.99", "9999.9", "8888")
-_LIMITS = ("32767", "32768", "65535", "1e10", "1e20", "1e30")
-FILLS = frozenset(float(sign + digits) for digits in (*_DIGITS, *_LIMITS) for sign in ("", "-"))
-"""What recorders write where they have no value, in the file's unit."""
+# --- Values that no sound record has, and the units that would explain them; the card's own is never advised.
 
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 RECORDED = (0.002, 0.5)  # s between samples of a flight that is worth a look
 NEARLY_ALL = 0.99
-FEW = 3  # values at most that a channel's fill has
 
 
 def implausible(record: FlightRecord, standard: StandardChannel, channel: Channel | None) -> str | None:
@@ -564,22 +558,10 @@ def implausible(record: FlightRecord, standard: StandardChannel, channel: Channe
         return None
     channel = channel or Channel(standard.name, standard.unit)
     count, i = int(outside.sum()), int(np.argmax(outside))
-    values, counts = np.unique(x[outside], return_counts=True)
-    fills = [float(f"{float(channel.filed(v)):.6g}") for v in values] if len(values) <= FEW else []
-    usual = all(value in FILLS for value in fills)
-    if fills and (usual or (counts.max() >= 2 and outside.mean() <= 0.5)):  # it stands where there was no value
-        named = " and ".join(f"{value:.10g}" for value in fills)
-        unit = "" if channel.unit == "1" else f" {channel.unit}"
-        return (
-            f"channel {standard.name}: {named}{unit} stands at {count} of {record.n} samples, the first at "
-            f"{at(record, i)}: a fill value of the recorder, not a measurement; cut these samples out or interpolate "
-            "across them in the file"
-        )
     if lo == 0.0 and (x < lo).any():  # airspeed and density not above zero: another check reports these
         return None
-    as_filed = (
-        f" ({float(channel.filed(x[i])):.6g} {channel.unit} in the file)" if channel.unit != standard.unit else ""
-    )
+    in_file = f" ({float(channel.filed(x[i])):.6g} {channel.unit} in the file)"
+    as_filed = in_file if channel.unit != standard.unit else ""
     return (
         f"channel {standard.name} is {x[i]:.6g} {standard.unit}{as_filed} at {at(record, i)}, outside {lo:g} to {hi:g} "
         f"{standard.unit}, {count} of {record.n} samples in all; {_unit_hint(x, standard, channel.unit)}"
@@ -600,7 +582,7 @@ def _unit_hint(x: np.ndarray, standard: StandardChannel, stated: str) -> str:
     others = (unit for unit in unit_choices(standard.name) if same_unit(unit, stated) is False)
     units = [unit for unit in others if fits(to_si(filed, unit, standard.name, standard.unit))][:2]
     if fits(x) or not units:
-        return "no other unit explains that: repair or cut out these samples, or correct its column on the card"
+        return "no other unit explains that (a fill value?): cut out these samples, or correct its column on the card"
     entries = " or ".join(f'unit = "{unit}"' for unit in units)
     return f"looks like {' or '.join(units)}: set {entries} for it on the card"
 

@@ -407,7 +407,7 @@ def test_the_unit_that_the_card_has_is_not_advised():
 def test_a_fill_value_is_told_before_any_unit(value):
     degrees = [Channel("alpha", "deg")]
     filled = sound(alpha=put(put(sound()["alpha"], 11, np.deg2rad(value)), 50, np.deg2rad(value)))
-    refused(filled, f"{value:.10g} deg stands at 2 of 120 samples", "sample 11 ", "fill value", channels=degrees)
+    refused(filled, f"({value:.6g} deg in the file)", "sample 11 ", "2 of 120", "fill value", channels=degrees)
 
 
 def test_the_table_of_channels():
