@@ -1,13 +1,11 @@
 """Parsers that run in a process of their own. Run as a script, never imported by the package.
 
-On damaged bytes such parsers loop for ever, crash or take all memory, and nothing interrupts them from inside (the
-HDF5 library is C code; fuzzing soon found files on which it loops). The parent, `binary.py`, gives this process a
-time limit instead.
+On damaged bytes such parsers loop for ever, crash or take all memory, and nothing interrupts them from inside. The
+parent, `binary.py`, gives this process a time limit instead.
 
-In: the file on stdin, the name of the parser in argv[1], a request as JSON in argv[2]. `hdf5` is called with the file
-and the request, and gives a reply for JSON and the arrays behind it; the others are called with the file, and give a
-list of groups and a list of remarks. A group is a name, (n,) seconds from the file's start, and columns: names, unit or
-None, and (n,) numbers. Each parser imports its library itself, which the others do not need.
+In: the file on stdin, the name of the parser in argv[1], a request as JSON in argv[2]. `hdf5` gives a reply for JSON
+and the arrays behind it; the others a list of groups (a name, (n,) seconds from the file's start, and columns: names,
+unit or None, (n,) numbers) and one of remarks. Each parser imports its library itself.
 Out: the reply as JSON and its arrays, as `np.savez` writes them. Failures: {"error": ...}.
 """
 

@@ -247,10 +247,6 @@ def grounded(record: FlightRecord, card: Card) -> list[tuple[int, int]]:
 # --- The parts of a file that are worth a record of their own: those in flight, and the manoeuvres in them.
 
 WINDOW = 2.0  # s over which a control or a rate must move
-PAUSE = 4.0  # s of rest that divide two manoeuvres
-LEAD = 2.0  # s kept before and after
-BRIEFEST = 3.0  # s of movement that make a manoeuvre
-MOST_OF_A_PART = 0.8  # of a part; a manoeuvre that fills more of it is the part
 MOVES = {"p": 1.0, "q": 0.5, "r": 0.5, "elevator": 0.3, "aileron_left": 0.5, "aileron_right": 0.5, "aileron": 0.5,
          "rudder": 0.5}  # fmt: skip
 """Standard deviation over `WINDOW`, deg/s or deg, below which nothing was flown whatever the record's noise."""
@@ -280,7 +276,7 @@ def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
     found = [] if flown == [(0, record.n)] else [(a, b, "in flight") for a, b in flown]
     for a, b in flown if forward else ():
         moved = [(a + first, a + after) for first, after in _manoeuvres(record.part(slice(a, b)))]
-        if len(moved) > 1 or (moved and moved[0][1] - moved[0][0] < MOST_OF_A_PART * (b - a)):
+        if len(moved) > 1 or (moved and moved[0][1] - moved[0][0] < 0.8 * (b - a)):
             found += [(first, after, "manoeuvre") for first, after in moved]
     proposed = []
     for a, b, what in found:
@@ -300,8 +296,9 @@ def _manoeuvres(part: FlightRecord) -> list[tuple[int, int]]:
             mean = uniform_filter1d(part[name], size)
             spread = np.sqrt(np.maximum(uniform_filter1d((part[name] - mean) ** 2, size), 0.0))
             moving |= spread > max(np.deg2rad(least), 4.0 * float(np.quantile(spread, 0.1)))  # the quiet tenth
-    pause, lead = max(round(PAUSE / part.dt), 1), max(round(LEAD / part.dt), 1)
+    # Rest of 4 s divides two manoeuvres of 3 s or more; 2 s before and after are kept.
+    pause, lead = max(round(4.0 / part.dt), 1), max(round(2.0 / part.dt), 1)
     moving, kept = binary_closing(np.pad(moving, pause), np.ones(pause))[pause:-pause], np.zeros(part.n, bool)
     for a, b in health.runs_of(moving):
-        kept[max(a - lead, 0) : b + lead + 1] |= (b - a) * part.dt >= BRIEFEST
+        kept[max(a - lead, 0) : b + lead + 1] |= (b - a) * part.dt >= 3.0
     return [(a, b + 1) for a, b in health.runs_of(kept) if b + 1 - a >= FEWEST]

@@ -328,17 +328,12 @@ def moved(card: Card, view: View, moves: Moves) -> Reading:
 
 # --- What the record is to be read as: the readings that mend what is refuted, and spoil nothing else.
 
-OFF = 0.10  # departure that no weather and no sensor makes, as a logarithm
 MENDED = 0.4  # of its misfit a relation may keep under the reading that is said to be right
 WORSE = 1.3  # times its misfit another relation may have there, if it is above the limit then
-TIED = 0.15  # of the best gain: readings that nearly gain as much cannot be told from the best
-MOST = 4  # faults of one record
 BESIDE = np.linspace(-0.18, 0.18, 19)  # logarithms beside a unit's factor, among which the record's own is sought
 ALIKE = 2.0  # logarithms of misfits within which ways to read the record may be as good as the best
-FAULT, FRAME = 0.25, 2  # of these logarithms that a fault costs, and faults that axes cost
-AHEAD = 0.2  # by which the best must be ahead of the next
 SPEED = frozenset({"airspeed", "altitude", "alpha", "beta"})  # relations that ask for a factor of the airspeed
-WIDEST, STEP, SURE = 1.6, 0.02, 3.0  # logarithms of its range and of a difference; standard errors that it must be off
+WIDEST, STEP = 1.6, 0.02  # logarithms of its range and of a difference
 Said = tuple[Reading, HealthFinding]
 
 
@@ -368,7 +363,7 @@ def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], Flig
 def _chain(record: FlightRecord, card: Card, view: View, before: Misfits) -> tuple[list[Said], Misfits]:
     """Readings one after the other, the best first, while any mends what is refuted; none unless all are mended."""
     said, mended, first = list[Said](), set[str](), before
-    while len(said) < MOST and any(value > 1.0 for value in before.values()):
+    while len(said) < 4 and any(value > 1.0 for value in before.values()):
         tried = [(reading, misfits(reading.of(view))) for reading in readings(view, card)]
         gains = [
             (_gain(before, after) if _own_factor(view, reading, before, after) else 0.0, reading, after)
@@ -385,7 +380,7 @@ def _chain(record: FlightRecord, card: Card, view: View, before: Misfits) -> tup
             if reading is best or not other > 0.0:
                 continue
             apart = not set(reading.channels) & set(best.channels) and reading.channels not in seen
-            if reading.rivals(best) or (apart and other > (1.0 - TIED) * gain):
+            if reading.rivals(best) or (apart and other > 0.85 * gain):
                 seen.add(reading.channels)
                 alike.append(reading)
         mended |= {*_mended(before, after)}
@@ -425,7 +420,7 @@ def _factors(view: View) -> list[Reading]:
     """The airspeed over the factor that fits best; or the altitude, where the altitude alone contradicts it."""
     names = misfits(view, SPEED).keys()
     speed = _speed_factor(view, names)
-    if speed is None or abs(speed[0]) < max(OFF, SURE * speed[1]):
+    if speed is None or abs(speed[0]) < max(0.10, 3.0 * speed[1]):
         return []
     factors = []
     for name, k in (("airspeed", speed[0]), ("altitude", -speed[0]))[: 2 if names == {"altitude"} else 1]:
@@ -480,14 +475,14 @@ def _whole(record: FlightRecord, card: Card, view: View, before: Misfits) -> tup
             pairs = {n: (order.get(n, n), int(sign)) for n, sign in zip(names, signs[k], strict=True)}
             whole.append((score[k], worst[k], {n: move for n, move in pairs.items() if move != (n, 1)}))
     least = min(score for score, _, _ in whole)
-    # Axes are as many faults as two, beside single channels.
+    # A fault costs a quarter of such a logarithm; axes are as many as two, beside single channels.
     alike = [
-        (score + FAULT * min(len(m), FRAME + axes_of(m, view)[1]), worst, m)
+        (score + 0.25 * min(len(m), 2 + axes_of(m, view)[1]), worst, m)
         for score, worst, m in whole
         if score < least + ALIKE
     ]
     total = min(score for score, *_ in alike)
-    tied = sorted((it for it in alike if it[0] < total + AHEAD), key=lambda it: len(it[2]))
+    tied = sorted((it for it in alike if it[0] < total + 0.2), key=lambda it: len(it[2]))
     _, worst, moves = tied[0]
     reading, *others = (moved(card, view, m) for _, _, m in tied)
     # Beyond twice what noise and errors of scale make, a relation does not hold.
