@@ -345,9 +345,7 @@ def open_mat(data: bytes) -> OpenedFile:
         raise InputError(OBJECT)
     structs = [name for name, (_, kind) in contents.items() if kind == "struct"]
     if claimed > 8 * text.MOST_VALUES_IN_ALL and structs:
-        raise InputError(
-            f"it claims {claimed} bytes, more than a record may have; is it damaged? Otherwise cut the record"
-        )
+        raise InputError(f"it claims {claimed} bytes, more than a record may have; cut the record")
     of_structs = parsed(loadmat, variable_names=structs, simplify_cells=True) if structs else {}
     fields: dict[str, np.ndarray] = {}
     for name in structs:
@@ -476,9 +474,8 @@ def open_excel(data: bytes) -> OpenedFile:
     tables = [k for k, length in enumerate(lengths) if length >= most] if most else [0]
     (name, rows), remarks = sheets[tables[0]], []
     if len(tables) > 1:
-        remarks = [
-            f"sheet {name!r} is read, the first of {len(tables)} with a table; save another one as its own workbook"
-        ]
+        others = f"the first of {len(tables)} with a table; save another one as its own workbook"
+        remarks = [f"sheet {name!r} is read, {others}"]
     elif len(sheets) > 1:
         remarks = [f"the table is that of sheet {name!r}"]
     numeric = [text.value_share(row) > 0.5 for _, row in rows]

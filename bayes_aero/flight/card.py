@@ -230,12 +230,9 @@ def _parse_channel(key: str, given: Any) -> Channel:
     given = _entry(given, keys, 1, here, ', e.g. { column = 13, unit = "deg" }, the unit that the file is in')
     column, label, sign = given.get("column"), given.get("label"), given.get("sign", 1)
     whole = isinstance(column, int) and not isinstance(column, bool) and 1 <= column <= MOST_COLUMNS
-    _refuse(
-        column is not None and not whole, f"{here} has column {column!r}; columns are counted from 1 to {MOST_COLUMNS}"
-    )
-    _refuse(
-        column is None and "label" not in given, f"{here} has neither column nor label; say where it stands in a file"
-    )
+    _refuse(column is not None and not whole, f"{here} has column {column!r}; they go from 1 to {MOST_COLUMNS}")
+    nowhere = column is None and "label" not in given
+    _refuse(nowhere, f"{here} has neither column nor label; say where it stands in a file")
     odd = isinstance(sign, bool) or sign not in (1, -1)
     _refuse(odd, f"{here} has sign {sign!r}; write -1 if the file counts the other way")
     label = None if label is None else str(label)
@@ -259,10 +256,8 @@ def _parse_channels(table: Mapping[str, Any]) -> dict[str, Any]:
         rules = " or ".join(repr(rule) for rule in RULES[key])
         _refuse(value not in [*RULES[key]], f"[derived] {key} is {str(value)[:60]!r}; write {rules}")
         _all_mapped(RULES[key][value], mapped, f"[derived] {key} needs")
-    tables = {
-        name: _parse_lookup(name, entry, mapped, {**constants, **derived})
-        for name, entry in _section(table, "tables").items()
-    }
+    looked_up, formed = _section(table, "tables"), {**constants, **derived}
+    tables = {name: _parse_lookup(name, entry, mapped, formed) for name, entry in looked_up.items()}
     names, sums = {*mapped, *constants, *derived, *tables}, dict[str, dict[str, float]]()
     for key, given in _section(table, "sums").items():  # each part with its factor
         here, some = f"[sums] {key}", isinstance(given, list | dict) and given
@@ -516,9 +511,7 @@ def _parse_linear(table: Mapping[str, Any], channels: Collection[str]) -> Linear
     for name in card.by_manoeuvre:
         constant = multiplied.get(name) == {ONE}
         _refuse(not constant, f'[linear] by_manoeuvre has {name}, which is no constant: no parameter of "1" alone')
-        _refuse(
-            name in dict(card.fixed), f"[linear] {name} is fixed and differs between manoeuvres; drop one of the two"
-        )
+        _refuse(name in dict(card.fixed), f"[linear] {name} is fixed and differs between manoeuvres; drop one")
     for name, _ in card.fixed:
         lost = name not in card.parameters
         _refuse(lost, f"[linear.fixed] {name} is a parameter of no row; drop it or correct its name")

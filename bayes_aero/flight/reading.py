@@ -125,9 +125,8 @@ def manoeuvres(paths: Paths, channels: Sequence[Channel], *, segments: Parts = N
             if not named and segment.whole and len(parts := parts_of(time)) > 1:
                 forward = bool((np.diff(time) > 0.0).all())
                 long = [(k, a, b) for k, (a, b) in enumerate(parts, 1) if b - a >= SHORTEST]
-                found += [
-                    Path(f"{path}@{f'{time[a]:.15g}:{time[b - 1]:.15g}' if forward else f'#{k}'}") for k, a, b in long
-                ]
+                names = (f"{time[a]:.15g}:{time[b - 1]:.15g}" if forward else f"#{k}" for k, a, b in long)
+                found += [Path(f"{path}@{name}") for name in names]
                 continue
         found += [Path(f"{path}@{part}") for part in named] or [Path(path)]
     return found
@@ -389,9 +388,7 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
     return RecordReport(
         path=os.fspath(path),
         **_sampling(np.empty(0) if whole is None else whole.time),
-        channels=tuple(
-            _channel_report(channel, columns[channel], inside) for channel in columns if channel.name in values
-        ),
+        channels=tuple(_channel_report(c, column, inside) for c, column in columns.items() if c.name in values),
         missing=tuple(c.name for c in card.channels if c not in columns and not c.required),
         unused=tuple(c.place for c in raw.columns if c.number not in {used.number for used in columns.values()}),
         problems=tuple(problems),

@@ -144,10 +144,8 @@ class FlightRecord:
         slack = 1e-6 * self.dt  # 0.04 * 25 is not 1 in binary
         keep = (self.time >= t0 - slack) & (self.time <= t1 + slack)
         if not keep.any():
-            raise InputError(
-                f"record {self.name} has no sample between {instant(t0)} and {instant(t1)} s; "
-                f"it runs from {instant(self.time[0])} to {instant(self.time[-1])} s"
-            )
+            runs = f"it runs from {instant(self.time[0])} to {instant(self.time[-1])} s"
+            raise InputError(f"record {self.name} has no sample between {instant(t0)} and {instant(t1)} s; {runs}")
         read = {**self.read, "windows": [*self.read["windows"], [float(t0), float(t1)]]} if self.read else {}
         name, source = f"{self.name}_{instant(t0)}-{instant(t1)}s", f"{self.source}, {instant(t0)} s to {instant(t1)} s"
         return replace(self.part(keep), name=name, source=source, read=read)

@@ -55,9 +55,8 @@ class OpenedFile:
 def candidates(channel: Channel, headings: Sequence[Heading]) -> list[Heading]:
     """The headings of a channel's name; else its number, unless the card has a label that names none."""
     numbered = (h for h in headings if h.column == channel.column is not None)
-    return [h for h in headings if channel.heading in h.names] or [
-        h for h in numbered if channel.label is None or not h.names or h.formed
-    ][-1:]
+    usable = [h for h in numbered if channel.label is None or not h.names or h.formed]
+    return [h for h in headings if channel.heading in h.names] or usable[-1:]
 
 
 def located(channels: Sequence[Channel], opened: OpenedFile) -> dict[str, Heading]:
@@ -95,10 +94,8 @@ def _absent(channel: Channel, headings: Sequence[Heading], kind: str) -> str:
 def refuse_huge(name: str, heading: str, size: float, channels: int) -> None:
     """Hold what a header claims for one of so many `channels` against what a record can have."""
     if size > MAX_VALUES or size * channels > MOST_VALUES_IN_ALL:
-        raise InputError(
-            f"channel {name} ({heading!r}) claims {size:.0f} samples, more than {MAX_VALUES}, or than "
-            f"{MOST_VALUES_IN_ALL} in {channels} channels; is the file damaged? Otherwise cut the record"
-        )
+        claims = f"claims {size:.0f} samples, more than {MAX_VALUES}, or {MOST_VALUES_IN_ALL} in all"
+        raise InputError(f"channel {name} ({heading!r}) {claims}; is the file damaged? Otherwise cut the record")
 
 
 def vector(values: np.ndarray, name: str) -> np.ndarray:

@@ -236,9 +236,7 @@ def grounded(record: FlightRecord, card: Card) -> list[tuple[int, int]]:
         return []
     gap = max(1, round(SHORTEST / record.dt))
     too_slow = binary_closing(np.pad(too_slow, gap, mode="edge"), np.ones(gap))[gap:-gap]
-    height = median_filter(
-        record["altitude"] if record.has("altitude") else np.zeros(record.n), DROPOUTS, mode="nearest"
-    )
+    height = median_filter(record.channels.get("altitude", np.zeros(record.n)), DROPOUTS, mode="nearest")
     # The altitude of a runway and its noise stay within 15 m.
     runs = [(a, b) for a, b in health.runs_of(too_slow) if np.ptp(height[a : b + 1]) < 15.0]
     return [(a, b) for a, b in runs if (b - a) * record.dt >= SHORTEST]
@@ -282,9 +280,8 @@ def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
     for a, b, what in found:
         begin, end = float(record.time[a]), float(record.time[b - 1])
         times = f"{instant(begin)}:{instant(end)}"
-        proposed.append(
-            Proposal(times if forward or (a, b) not in parts else f"#{parts.index((a, b)) + 1}", what, begin, end)
-        )
+        number = None if forward or (a, b) not in parts else parts.index((a, b)) + 1
+        proposed.append(Proposal(f"#{number}" if number else times, what, begin, end))
     return tuple(proposed)
 
 

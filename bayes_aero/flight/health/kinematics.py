@@ -115,11 +115,8 @@ def terms_of(
 
 def _mean_terms(name: str, view: View, rates: Sequence[View]) -> np.ndarray:
     """Mean accelerations (k, 1) that each part makes, and what the flow turns by, over what is allowed."""
-    V, lasts, channel = (
-        view["airspeed"],
-        float(view["time"][-1] - view["time"][0]),
-        {"level": "alpha"}.get(name, "beta"),
-    )
+    channel = "alpha" if name == "level" else "beta"
+    V, lasts = view["airspeed"], float(view["time"][-1] - view["time"][0])
     terms = [np.mean(V * rate[channel]) for rate in rates]
     if channel in view:
         terms.append(-np.mean(V) * float(np.median(view[channel][-9:]) - np.median(view[channel][:9])) / lasts)
@@ -235,10 +232,8 @@ def _gravity(card: Card, view: View) -> Iterator[Reading]:
         looks = f"{'has' if len(names) == 1 else 'have'} no part of gravity (acceleration, not specific force{unit})"
         mend = f"write {', '.join(back[n] for n in names)} into the file"
         yield Reading(names, "gravity", looks, mend, partial(put_back, names, factor))
-    every = tuple(n for n in have if n != "az")
-    for others, sign, factor in (
-        product(dict.fromkeys([(), every]), (1.0, -1.0), (1.0, GRAVITY)) if "az" in have else ()
-    ):
+    beside = dict.fromkeys([(), tuple(n for n in have if n != "az")]) if "az" in have else ()
+    for others, sign, factor in product(beside, (1.0, -1.0), (1.0, GRAVITY)):
         unit = "in multiples of g" if factor != 1.0 else f"in {declared(card, 'az').unit}"
         also = f" ({' and '.join(others)} in multiples of g, too)" if factor != 1.0 and others else ""
         yield Reading(
