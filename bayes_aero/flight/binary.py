@@ -170,14 +170,11 @@ class Variable(NamedTuple):
 
 # by channel the key of a variable and, of a matrix, the number of the column
 Places = dict[str, tuple[str, int | None]]
+Loader = Callable[[Places], dict[str, np.ndarray]]
 
 
 def named_arrays(
-    variables: Sequence[Variable],
-    load: Callable[[Places], dict[str, np.ndarray]],
-    kind: str = "variable",
-    *,
-    numbered: bool = False,
+    variables: Sequence[Variable], load: Loader, kind: str = "variable", *, numbered: bool = False
 ) -> OpenedFile:
     """A file of such variables, of which `load` gives numbers. The columns of an only matrix go by their numbers, too.
     `numbered`: a variable's place in the file is its number."""

@@ -37,7 +37,7 @@ READERS: dict[str, Callable[[bytes], OpenedFile]] = dict(
 )
 """What opens a file, by its suffix."""
 
-Paths = Sequence[str | os.PathLike[str]]
+Paths, Channels = Sequence[str | os.PathLike[str]], Sequence[Channel]
 Parts = Mapping[str, Sequence[str]] | None  # of files by their name, as a card states them
 MAX_BYTES = 1 << 30  # largest file that is taken for one manoeuvre: 1 GiB
 
@@ -50,9 +50,7 @@ def _named(path: str | os.PathLike[str]) -> Iterator[None]:
         raise InputError(f"{os.fspath(path)}: {reason}") from reason
 
 
-def read_record(
-    path: str | os.PathLike[str], channels: Sequence[Channel], *, resample: float | None = None
-) -> FlightRecord:
+def read_record(path: str | os.PathLike[str], channels: Channels, *, resample: float | None = None) -> FlightRecord:
     """Read, convert and check one manoeuvre; without `resample` uneven sampling and missing samples are refused."""
     with _named(path):
         filed = _as_filed(path, channels)
@@ -65,7 +63,7 @@ def read_record(
         return record
 
 
-def _as_filed(path: str | os.PathLike[str], channels: Sequence[Channel]) -> FlightRecord:
+def _as_filed(path: str | os.PathLike[str], channels: Channels) -> FlightRecord:
     """The whole file in SI, unchecked, without samples that were written twice."""
     segment = segment_of(path)
     opens, often = format_of(segment.file), Counter(channel.name for channel in channels)
@@ -87,7 +85,7 @@ def _as_filed(path: str | os.PathLike[str], channels: Sequence[Channel]) -> Flig
     return without_repeats(FlightRecord(segment.label, si["time"], si, source, digest, remarks=remarks, read=read))
 
 
-def read_again(read: Mapping[str, Any], file: Path, channels: Sequence[Channel]) -> FlightRecord:
+def read_again(read: Mapping[str, Any], file: Path, channels: Channels) -> FlightRecord:
     """The record that was `read` before (see `FlightRecord.read`), from the whole `file`, where it is now."""
     part = f"@{read['part']}" if read["part"] else ""
     record = read_record(f"{file}{part}", channels, resample=read["resample"])
@@ -97,12 +95,7 @@ def read_again(read: Mapping[str, Any], file: Path, channels: Sequence[Channel])
 
 
 def read_records(
-    paths: Paths,
-    channels: Sequence[Channel],
-    *,
-    resample: float | None = None,
-    segments: Parts = None,
-    split: bool = False,
+    paths: Paths, channels: Channels, *, resample: float | None = None, segments: Parts = None, split: bool = False
 ) -> list[FlightRecord]:
     """Every manoeuvre of every file, also of those that a gap `split`s; the first bad one is reported."""
     parts = manoeuvres(paths, channels, segments=segments, split=split)
@@ -110,7 +103,7 @@ def read_records(
     return [replace(record, read={**record.read, "split": split}) for record in records]
 
 
-def manoeuvres(paths: Paths, channels: Sequence[Channel], *, segments: Parts = None, split: bool = False) -> list[Path]:
+def manoeuvres(paths: Paths, channels: Channels, *, segments: Parts = None, split: bool = False) -> list[Path]:
     """The manoeuvres that files stand for: what a card has stated of a file of that name (`segments`), else its parts
     between gaps, if it is to `split` them. A path with a part stands for that alone."""
     clock = [replace(channel, required=True) if channel.name == "time" else channel for channel in channels]
@@ -422,20 +415,20 @@ RATES = (1e-4, 2.0)  # bounds of the sampling interval, s, outside which the uni
 Mapped = Mapping[str, Channel]  # the card's channels by name
 
 
-def check_record(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> None:
+def check_record(record: FlightRecord, *, even: bool = True, channels: Channels = ()) -> None:
     """Raise InputError, with channel, sample and remedy, for the first fault; `even=False`: it is to be resampled."""
     for reason in failures(record, even=even, channels=channels):
         raise InputError(reason)
 
 
-def check_arrays(record: FlightRecord, channels: Sequence[Channel]) -> None:
+def check_arrays(record: FlightRecord, channels: Channels) -> None:
     """Raise InputError if a record made in memory is too short, lacks numbers, or its time does not increase."""
     used = {c.name: record[c.name] for c in channels if c.required and c.name in record.channels}
     for reason in _unusable(replace(record, channels=used), True):
         raise InputError(f"record {record.name}: {reason}")
 
 
-def failures(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> Iterator[str]:
+def failures(record: FlightRecord, *, even: bool = True, channels: Channels = ()) -> Iterator[str]:
     """Everything that is wrong with a record, one sentence each; `check_record` raises the first."""
     card = {channel.name: channel for channel in channels}
     yield from _unusable(record, even)
@@ -593,7 +586,7 @@ def _time_hint(median: float, stated: str) -> str:
     return f"no unit of time explains that ({stated} on the card): correct its column on the card"
 
 
-def without_bad_options(record: FlightRecord, channels: Sequence[Channel], *, blanks: bool = False) -> FlightRecord:
+def without_bad_options(record: FlightRecord, channels: Channels, *, blanks: bool = False) -> FlightRecord:
     """The record without optional channels that are not finite (`blanks` pass) or not plausible; it remembers why."""
     dropped = {}
     for channel in channels:
