@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from contextlib import suppress
 from functools import cache, lru_cache
 from itertools import product
 from typing import Any
@@ -52,31 +53,25 @@ def _registry() -> Any:
 @lru_cache(maxsize=2048)
 def _meanings(unit: str) -> tuple[tuple[str, Any], ...]:
     """What a unit may mean, each as cards spell it and as pint's unit; the likeliest first."""
-    if not unit.strip():
+    plain = unit.strip()
+    if not plain:
         return (("1", _registry().Unit("dimensionless")),)
-    known = spellings(unit)
-    if known:
-        return tuple((text, _pint(text)) for text in known)
-    if unit.strip() not in EXACT and unit.strip().lower() in _CASE_TELLS:
-        return ()  # the capitals leave open which of two units is meant: "MS" is no siemens, either
-    try:
-        return ((unit.strip(), _pint(unit)),)
-    except InputError:
-        return ()
+    if not (texts := spellings(unit)):  # of some, capitals leave open which of two is meant: "MS" is no siemens, either
+        texts = () if plain not in EXACT and plain.lower() in _CASE_TELLS else (plain,)
+    return tuple((text, known) for text in texts if (known := _pint(text)) is not None)
 
 
 def _pint(unit: str) -> Any:
-    """The pint unit of a text; "g" alone is standard gravity, which to pint is the gram."""
-    text = "standard_gravity" if unit == "g" else unit.strip().replace("^", "**")
+    """The pint unit of a text, None if it is none; "g" alone is standard gravity, which to pint is the gram."""
+    text = "standard_gravity" if unit == "g" else unit.replace("^", "**")
     # "m/s2" and "m s-1" are not pint's spelling, but everybody's
     for candidate in (text, _POWER.sub(r"**\1", text)):
-        if len(candidate) > _LONGEST or _SAFE.fullmatch(candidate) is None or re.search(r"\*\*-?\d\s*\*\*", candidate):
-            continue
-        try:
-            return _registry().parse_units(candidate)
-        except Exception:  # pint leaks AssertionError, TypeError, tokenizer errors ... for text that is no unit
-            continue
-    raise InputError(unit)
+        odd = len(candidate) > _LONGEST or re.search(r"\*\*-?\d\s*\*\*", candidate)
+        # pint leaks AssertionError, TypeError, tokenizer errors ... for text that is no unit
+        with suppress(Exception):
+            if not odd and _SAFE.fullmatch(candidate):
+                return _registry().parse_units(candidate)
+    return None
 
 
 def _pair(one: str, other: str, where: str) -> tuple[Any, Any]:
