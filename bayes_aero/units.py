@@ -103,7 +103,7 @@ def _convert(values: Any, source: str, target: str, where: str) -> Any:
         with np.errstate(all="ignore"):  # an overflow gives inf, which the record checks tell better
             return values if have == want else _registry().Quantity(values, have).to(want).magnitude
     except Exception as reason:  # DimensionalityError, OffsetUnitCalculusError, ...: these do not belong together
-        raise InputError(f"{where}: the unit {source!r} cannot be turned into {target!r}; correct it") from reason
+        raise InputError(f"{where}: the unit {source!r} cannot be turned into {target!r}; correct the unit") from reason
 
 
 def si_unit(unit: str, where: str = "unit") -> str:

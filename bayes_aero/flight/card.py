@@ -230,7 +230,8 @@ def _parse_channel(key: str, given: Any) -> Channel:
     given = _entry(given, keys, 1, here, ', e.g. { column = 13, unit = "deg" }, the unit that the file is in')
     column, label, sign = given.get("column"), given.get("label"), given.get("sign", 1)
     whole = isinstance(column, int) and not isinstance(column, bool) and 1 <= column <= MOST_COLUMNS
-    _refuse(column is not None and not whole, f"{here} has column {column!r}; they go from 1 to {MOST_COLUMNS}")
+    counted = f"columns are counted from 1, and no file has more than {MOST_COLUMNS}"
+    _refuse(column is not None and not whole, f"{here} has column {column!r}; {counted}")
     nowhere = column is None and "label" not in given
     _refuse(nowhere, f"{here} has neither column nor label; say where it stands in a file")
     odd = isinstance(sign, bool) or sign not in (1, -1)

@@ -14,7 +14,7 @@ from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -303,47 +303,47 @@ def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: S
     except InputError as reason:
         raise InputError(f"{target}: {reason}") from reason
     except OSError as reason:
-        raise InputError(f"{target}: it cannot be written ({reason.strerror}); check the folder") from reason
+        raise InputError(f"{target}: it cannot be written ({reason.strerror}); check its permissions") from reason
 
 
-def _asc(columns: Columns, buffer: io.BytesIO) -> None:
+def _asc(columns: Columns, file: BinaryIO) -> None:
     """Columns where the card puts them; zeros in the columns that it does not map."""
     table = np.zeros((columns[0][1].size, max(channel.column or 0 for channel, _ in columns)))
     for channel, values in columns:
         if channel.column is None:
             raise InputError(f"channel {channel.name} has no column number; add column = N to the card, or write .csv")
         table[:, channel.column - 1] = values
-    np.savetxt(buffer, table, fmt="%.17g")  # 17 digits bring back every double exactly
+    np.savetxt(file, table, fmt="%.17g")  # 17 digits bring back every double exactly
 
 
-def _csv(columns: Columns, buffer: io.BytesIO) -> None:
+def _csv(columns: Columns, file: BinaryIO) -> None:
     import csv
 
     header = io.StringIO()
     csv.writer(header, lineterminator="\n").writerow([channel.heading for channel, _ in columns])
-    buffer.write(header.getvalue().encode())
-    np.savetxt(buffer, np.column_stack([values for _, values in columns]), fmt="%.17g", delimiter=",")
+    file.write(header.getvalue().encode())
+    np.savetxt(file, np.column_stack([values for _, values in columns]), fmt="%.17g", delimiter=",")
 
 
-def _mat(columns: Columns, buffer: io.BytesIO) -> None:
+def _mat(columns: Columns, file: BinaryIO) -> None:
     from scipy.io import savemat
 
     for channel, _ in columns:
         if re.fullmatch(r"[A-Za-z]\w{0,62}", channel.heading, re.ASCII) is None:
             why = "is no MATLAB name; give it a label of letters, digits and underscores"
             raise InputError(f"channel {channel.name}: {channel.heading!r} {why}")
-    savemat(buffer, {channel.heading: values[:, None] for channel, values in columns}, do_compression=True)
+    savemat(file, {channel.heading: values[:, None] for channel, values in columns}, do_compression=True)
 
 
-def _parquet(columns: Columns, buffer: io.BytesIO) -> None:
+def _parquet(columns: Columns, file: BinaryIO) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     fields = [pa.field(channel.heading, pa.float64(), metadata={"units": channel.unit}) for channel, _ in columns]
-    pq.write_table(pa.table([values for _, values in columns], schema=pa.schema(fields)), buffer)
+    pq.write_table(pa.table([values for _, values in columns], schema=pa.schema(fields)), file)
 
 
-def _netcdf(columns: Columns, buffer: io.BytesIO) -> None:
+def _netcdf(columns: Columns, file: BinaryIO) -> None:
     import xarray as xr
 
     variables = {}
@@ -351,9 +351,9 @@ def _netcdf(columns: Columns, buffer: io.BytesIO) -> None:
         standard = STANDARD_CHANNELS.get(channel.name)
         about = {"units": channel.unit} | ({"long_name": standard.description} if standard else {})
         variables[channel.heading] = ("sample", values, about)
-    buffer.write(xr.Dataset(variables).to_netcdf(engine="h5netcdf"))
+    file.write(xr.Dataset(variables).to_netcdf(engine="h5netcdf"))
 
 
-WRITERS: dict[str, Callable[[Columns, io.BytesIO], None]] = {
+WRITERS: dict[str, Callable[[Columns, BinaryIO], None]] = {
     **dict.fromkeys((".asc", ".txt", ".dat"), _asc), ".csv": _csv, ".mat": _mat, ".parquet": _parquet, ".nc": _netcdf,
 }  # fmt: skip

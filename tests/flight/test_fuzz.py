@@ -144,7 +144,8 @@ def test_random_tables(folder, suffix):
         path = folder / f"table{suffix}"
         with np.errstate(over="ignore"):
             columns = [(c, values[c.name] / IN_SI[c.name]) for c in CHANNELS]
-        path.write_bytes(WRITERS[suffix](columns))
+        with path.open("wb") as file:
+            WRITERS[suffix](columns, file)
         with suppress(InputError):
             record = read_record(path, CHANNELS, resample=resample)
             assert record.n >= 50
