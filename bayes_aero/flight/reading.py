@@ -37,7 +37,8 @@ READERS: dict[str, Callable[[bytes], OpenedFile]] = dict(
 )
 """What opens a file, by its suffix."""
 
-Paths, Channels = Sequence[str | os.PathLike[str]], Sequence[Channel]
+Paths = Sequence[str | os.PathLike[str]]
+Channels = Sequence[Channel]
 Parts = Mapping[str, Sequence[str]] | None  # of files by their name, as a card states them
 MAX_BYTES = 1 << 30  # largest file that is taken for one manoeuvre: 1 GiB
 
