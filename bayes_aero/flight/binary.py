@@ -60,7 +60,7 @@ def require(suffix: str, *libraries: str) -> None:
 # --- Logs, whose channels come at several rates: groups of columns, each group with its own time stamps.
 
 
-class Log(NamedTuple):
+class LogFormat(NamedTuple):
     """A format of logs: its library, what a file and a column of it are called, the resolution of its stamps (s), and
     what a file of it holds somewhere in its first bytes, so many of them."""
 
@@ -76,13 +76,13 @@ class Log(NamedTuple):
 LOGS = {
     # A column is a field of a message, "ATT.Roll": instances go by their number, "IMU[1].GyrX", and an only one also by
     # "IMU.GyrX". Source: ArduPilot, AP_Logger: FMT, FMTU, UNIT and MULT messages describe all others.
-    ".bin": Log("pymavlink", "dataflash", "DataFlash log", "field", 1e-6, re.compile(b"\xa3\x95"), 600),
+    ".bin": LogFormat("pymavlink", "dataflash", "DataFlash log", "field", 1e-6, re.compile(b"\xa3\x95"), 600),
     # A column is a signal of a channel group: "group/name" and, where no other group has one of its name, its name
     # alone. Source: ASAM MDF 4.1, section 4: one channel group has one master channel.
-    ".mf4": Log("asammdf", "mdf", "MDF file of version 4", "signal", 1e-9, re.compile(b"(MDF     |UnFinMF )4\\."), 10),
+    ".mf4": LogFormat("asammdf", "mdf", "MDF file of version 4", "signal", 1e-9, re.compile(b"(MDF     |UnFinMF )4\\."), 10),
     # A column is a field of a topic, "vehicle_attitude.q[0]"; a second instance of a topic goes by its number:
     # "sensor_accel.1.x". Source: PX4 ULog file format, version 1.
-    ".ulg": Log("pyulog", "ulog", "ULog file", "field", 1e-6, re.compile(b"ULog\x01\x12\x35"), 7),
+    ".ulg": LogFormat("pyulog", "ulog", "ULog file", "field", 1e-6, re.compile(b"ULog\x01\x12\x35"), 7),
 }
 TIME = Heading(("time",), None, "s")  # stands for the time stamps of whatever columns are read beside it
 
