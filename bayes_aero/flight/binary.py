@@ -79,7 +79,7 @@ LOGS = {
     ".bin": LogFormat("pymavlink", "dataflash", "DataFlash log", "field", 1e-6, re.compile(b"\xa3\x95"), 600),
     # A column is a signal of a channel group: "group/name" and, where no other group has one of its name, its name
     # alone. Source: ASAM MDF 4.1, section 4: one channel group has one master channel.
-    ".mf4": LogFormat("asammdf", "mdf", "MDF file of version 4", "signal", 1e-9, re.compile(b"(MDF     |UnFinMF )4\\."), 10),
+    ".mf4": LogFormat("asammdf", "mdf", "MDF 4 file", "signal", 1e-9, re.compile(b"(MDF     |UnFinMF )4\\."), 10),
     # A column is a field of a topic, "vehicle_attitude.q[0]"; a second instance of a topic goes by its number:
     # "sensor_accel.1.x". Source: PX4 ULog file format, version 1.
     ".ulg": LogFormat("pyulog", "ulog", "ULog file", "field", 1e-6, re.compile(b"ULog\x01\x12\x35"), 7),

@@ -235,7 +235,18 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
             for k, heading in headings.items()
             if not {*heading.names} & repeated and (heading.names or heading.column is not None)
         }
-        numbers = _numeric(opened, places)
+        # All columns at once; where one is no numbers, each half on its own, so that only it is lost.
+        numbers, left, began = dict[str, FileColumn](), deque([list(places.items())]), time.monotonic()
+        failure = InputError("it holds no column of numbers; is it the right file?")
+        while left and time.monotonic() - began < PATIENCE:
+            some = left.popleft()
+            try:
+                numbers |= opened.read(dict(some))
+            except InputError as reason:
+                failure, half = reason, len(some) // 2
+                left.extend([some[:half], some[half:]] if half else [])
+        if not numbers:
+            raise failure from None
     columns = []
     for place, heading in places.items():
         values, unit = numbers.get(place, (None, None))
@@ -245,23 +256,6 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
         label = heading.names[0] if heading.names and not heading.formed else None
         columns.append(RawColumn(label, at, values, unit, heading))
     return RawFile(tuple(columns), tuple(sorted(repeated)), tuple(opened.remarks))
-
-
-def _numeric(opened: OpenedFile, places: Mapping[str, Heading]) -> dict[str, FileColumn]:
-    """All columns at once; where one is no numbers, each half on its own, so that only it is lost, for `PATIENCE` s."""
-    numbers: dict[str, FileColumn] = {}
-    failure = InputError("it holds no column of numbers; is it the right file?")
-    left, began = deque([list(places.items())]), time.monotonic()
-    while left and time.monotonic() - began < PATIENCE:
-        some = left.popleft()
-        try:
-            numbers |= opened.read(dict(some))
-        except InputError as reason:
-            failure, half = reason, len(some) // 2
-            left.extend([some[:half], some[half:]] if half else [])
-    if not numbers:
-        raise failure from None
-    return numbers
 
 
 # --- Samples that a recorder wrote twice; records brought to one sampling rate.
@@ -484,12 +478,15 @@ def _sampling_step(record: FlightRecord) -> float:
 
 def _of_sampling(record: FlightRecord, channel: Channel | None, even: bool) -> Iterator[str]:
     """A rate that no flight is recorded at; gaps and uneven steps, unless it is about to be resampled."""
-    fullest = _sampling_step(record)
-    if not RATES[0] <= fullest <= RATES[1]:
-        yield (
-            f"channel time has a median step of {fullest:.6g} s from {at(record, 0)}, outside {RATES[0]:g} to "
-            f"{RATES[1]:g} s; {_time_hint(fullest, 's' if channel is None else channel.unit)}"
-        )
+    fullest, stated = _sampling_step(record), "s" if channel is None else channel.unit
+    if not RATES[0] <= fullest <= RATES[1]:  # the unit in which steps would be those of a flight
+        hint = f"no unit of time explains that ({stated} on the card): correct its column on the card"
+        scale = next((size for unit, size in TIMES.items() if same_unit(unit, stated)), 1.0)
+        fit = [unit for unit, size in TIMES.items() if RECORDED[0] <= fullest / scale * size <= RECORDED[1]]
+        for unit in [unit for unit in fit if not same_unit(unit, stated)][:1]:
+            hint = f'looks like {unit}, where the card says {stated}: set unit = "{unit}" for time on the card'
+        bounds = f"outside {RATES[0]:g} to {RATES[1]:g} s"
+        yield f"channel time has a median step of {fullest:.6g} s from {at(record, 0)}, {bounds}; {hint}"
     step = np.diff(record.time)
     median = float(np.median(step))
     gaps, off = step > GAP * median, np.abs(step - median) > JITTER * median
@@ -576,15 +573,6 @@ def _unit_hint(x: np.ndarray, standard: StandardChannel, stated: str) -> str:
         return "no other unit explains that (a fill value?): cut out these samples, or correct its column on the card"
     entries = " or ".join(f'unit = "{unit}"' for unit in units)
     return f"looks like {' or '.join(units)}: set {entries} for it on the card"
-
-
-def _time_hint(median: float, stated: str) -> str:
-    """The unit of time in which steps of `median` s, as the card's unit makes them, would be those of a flight."""
-    scale = next((size for unit, size in TIMES.items() if same_unit(unit, stated)), 1.0)
-    for unit, size in TIMES.items():
-        if RECORDED[0] <= median / scale * size <= RECORDED[1] and not same_unit(unit, stated):
-            return f'looks like {unit}, where the card says {stated}: set unit = "{unit}" for time on the card'
-    return f"no unit of time explains that ({stated} on the card): correct its column on the card"
 
 
 def without_bad_options(record: FlightRecord, channels: Channels, *, blanks: bool = False) -> FlightRecord:

@@ -138,11 +138,6 @@ NO_DATA = "it holds no data, only blank lines, comments or separators; write the
 Lines = list[tuple[int, str]]  # lines of a file, each with its number, counted from 1
 
 
-def open_text(data: bytes) -> OpenedFile:
-    lines = _lines(data)
-    return laid_out(lines, separator_of(lines))
-
-
 def read_cells(
     body: Lines, separator: str | None, wanted: Mapping[str, Heading], remarks: list[str]
 ) -> dict[str, FileColumn]:
@@ -189,7 +184,7 @@ def read_cells(
     return columns
 
 
-def _lines(data: bytes) -> Lines:
+def open_text(data: bytes) -> OpenedFile:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = data.decode("utf-16", errors="replace")
     elif b"\0" in data:
@@ -209,7 +204,7 @@ def _lines(data: bytes) -> Lines:
     lines = [(number, row.strip(" ")) for number, row in enumerate(rows, 1) if row and not row.isspace()]
     if all(line[0] in _COMMENT for _, line in lines):
         raise InputError(NO_DATA)
-    return lines
+    return laid_out(lines, separator_of(lines))
 
 
 # --- Where a text table keeps its header, its units and its samples, and what stands between its cells.
@@ -462,19 +457,15 @@ def looks_like_clock(cell: str) -> bool:
 
 def seconds(cells: Sequence[str]) -> np.ndarray:
     """(n,) seconds since the first cell; a clock that passes midnight goes on. Raises InputError: a cell is no time."""
-    if not all(_TIME.fullmatch(cell) for cell in cells):
-        return _dates(cells)
-    # h:m:s, m:s, or day:h:m:s as range clocks (IRIG) write it
-    parts = [cell.replace(",", ".").split(":") for cell in cells]
-    if len({len(part) for part in parts}) > 1:
-        raise InputError("clock times of different forms stand in one column; write time in seconds")
-    values = np.array(parts, dtype=np.float64) @ np.array(_WEIGHTS[len(parts[0])])
-    period = {2: 3600.0, 3: DAY, 4: np.inf}[len(parts[0])]
-    turns = np.diff(values, prepend=values[0]) < -0.5 * period
-    return values - values[0] + np.cumsum(np.where(turns, period, 0.0))
-
-
-def _dates(cells: Sequence[str]) -> np.ndarray:
+    if all(_TIME.fullmatch(cell) for cell in cells):
+        # h:m:s, m:s, or day:h:m:s as range clocks (IRIG) write it
+        parts = [cell.replace(",", ".").split(":") for cell in cells]
+        if len({len(part) for part in parts}) > 1:
+            raise InputError("clock times of different forms stand in one column; write time in seconds")
+        values = np.array(parts, dtype=np.float64) @ np.array(_WEIGHTS[len(parts[0])])
+        period = {2: 3600.0, 3: DAY, 4: np.inf}[len(parts[0])]
+        turns = np.diff(values, prepend=values[0]) < -0.5 * period
+        return values - values[0] + np.cumsum(np.where(turns, period, 0.0))
     import pandas as pd
 
     texts = pd.Series(list(cells))

@@ -220,8 +220,17 @@ def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, in
     names = [n for n in names if np.ptp(one[n]) > 0.0 and np.ptp(two[n]) > 0.0]
     if len(names) < CHANNELS or abs(one.dt - two.dt) > 1e-3 * one.dt:
         return None
-    for lag in (_lag(np.diff(one[lead]), np.diff(two[lead])) for lead in names[:3]):
-        if lag is None:
+    for a, b in ((np.diff(one[lead]), np.diff(two[lead])) for lead in names[:3]):
+        # By how many samples b lies behind a where the two correlate best, among overlaps that are long enough.
+        lags = np.arange(-(len(b) - 1), len(a))
+        product = np.fft.irfft(np.fft.rfft(a, 2 * len(lags)) * np.fft.rfft(b[::-1], 2 * len(lags)))[: len(lags)]
+        power_a, power_b = (np.concatenate([[0.0], np.cumsum(v**2)]) for v in (a, b))
+        begins, ends = np.maximum(0, -lags), np.minimum(len(b), len(a) - lags)
+        power = (power_a[ends + lags] - power_a[begins + lags]) * (power_b[ends] - power_b[begins])
+        enough = (ends - begins >= FEWEST) & (power > 1e-12 * power_a[-1] * power_b[-1])
+        score = np.where(enough, product / np.sqrt(np.where(enough, power, 1.0)), -1.0)
+        lag = int(lags[np.argmax(score)])
+        if score.max() <= 0.5:
             continue
         begin, end = max(0, -lag), min(two.n, one.n - lag)  # samples of `two` that `one` has, too
         alike = 0
@@ -237,19 +246,6 @@ def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, in
             shared = f"{end - begin} samples ({(end - begin) * one.dt:.4g} s) are the same samples"
             return f"{part} {one.name}: {shared}", (begin, end - 1)
     return None
-
-
-def _lag(x: np.ndarray, y: np.ndarray) -> int | None:
-    """By how many samples y lies behind x where the two correlate best, among overlaps that are long enough."""
-    lags = np.arange(-(len(y) - 1), len(x))
-    product = np.fft.irfft(np.fft.rfft(x, 2 * len(lags)) * np.fft.rfft(y[::-1], 2 * len(lags)))[: len(lags)]
-    power_x, power_y = (np.concatenate([[0.0], np.cumsum(v**2)]) for v in (x, y))
-    begin, end = np.maximum(0, -lags), np.minimum(len(y), len(x) - lags)
-    power = (power_x[end + lags] - power_x[begin + lags]) * (power_y[end] - power_y[begin])
-    enough = (end - begin >= FEWEST) & (power > 1e-12 * power_x[-1] * power_y[-1])
-    score = np.where(enough, product / np.sqrt(np.where(enough, power, 1.0)), -1.0)
-    best = int(np.argmax(score))
-    return int(lags[best]) if score[best] > 0.5 else None
 
 
 # --- Whether the sensors of records agree along the flight path: the answer as plain data.

@@ -226,19 +226,14 @@ def held_period(x: np.ndarray) -> float:
     changes = np.flatnonzero(np.diff(x))
     if len(changes) < FEWEST:
         return 0.0
-    lengths, middle, order, off = _spacing(changes)
+    lengths = np.diff(changes)
+    middle = float(np.median(lengths))
+    order = np.maximum(np.round(lengths / middle), 1.0)  # how often it goes into each
+    off = np.abs(lengths / order - middle)
     # Values may repeat from one true sample to the next, and a ratio of rates that is no integer gives two lengths.
     like, once = off <= (0.0 if middle < 3.0 else 1.0), order == 1.0
     rhythm = 2.0 <= middle <= SLOWEST and np.mean(like) >= ALIKE and np.mean(lengths == 1) <= 1.0 - ALIKE
     return float(np.mean(lengths[like & once])) if rhythm and np.mean(once) >= 0.5 else 0.0
-
-
-def _spacing(at: Sequence[int] | np.ndarray) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
-    """Samples from one to the next, their median, how often it goes into each, and what that misses a time."""
-    lengths = np.diff(at)
-    middle = float(np.median(lengths))
-    order = np.maximum(np.round(lengths / middle), 1.0)
-    return lengths, middle, order, np.abs(lengths / order - middle)
 
 
 def interpolated_period(x: np.ndarray) -> int:
