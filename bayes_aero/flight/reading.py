@@ -372,11 +372,25 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
     except InputError as reason:  # what is said of a column that no channel of the card was found in, too
         refused = str(reason).removeprefix(f"{os.fspath(path)}: ")
         problems += [refused] if refused not in problems else []
-    parts = whole is not None and segment.whole and np.isfinite(whole.time).all()
+    time = np.empty(0) if whole is None else whole.time
+    step, reports = np.diff(time), []
+    median = float(np.median(step)) if len(step) else float("nan")
+    gap = step > GAP * median
+    for channel, column in columns.items():
+        if channel.name in values and column.values is not None:
+            sound = column.values[inside][np.isfinite(column.values[inside])]
+            low, high = (float(sound.min()), float(sound.max())) if len(sound) else (float("nan"), float("nan"))
+            where = channel.name, column.place, channel.unit, channel.si, channel.sign
+            reports.append(ChannelReport(*where, low, high, low < high))
+    parts = segment.whole and np.isfinite(time).all()
     return RecordReport(
         path=os.fspath(path),
-        **_sampling(np.empty(0) if whole is None else whole.time),
-        channels=tuple(_channel_report(c, column, inside) for c, column in columns.items() if c.name in values),
+        samples=len(time),
+        dt=median,
+        duration=float(time[-1] - time[0]) if len(time) else 0.0,
+        gaps=int(np.sum(gap)),
+        uneven=int(np.sum((np.abs(step - median) > JITTER * median) & ~gap)),
+        channels=tuple(reports),
         missing=tuple(c.name for c in card.channels if c not in columns and not c.required),
         unused=tuple(c.place for c in raw.columns if c.number not in {used.number for used in columns.values()}),
         problems=tuple(problems),
@@ -384,22 +398,6 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
         proposals=proposals(whole, card) if whole is not None and parts else (),
         remarks=remarks,
     )
-
-
-def _sampling(time: np.ndarray) -> dict[str, Any]:
-    step = np.diff(time)
-    median = float(np.median(step)) if len(step) else float("nan")
-    gap = step > GAP * median
-    uneven = int(np.sum((np.abs(step - median) > JITTER * median) & ~gap))
-    duration = float(time[-1] - time[0]) if len(time) else 0.0
-    return {"samples": len(time), "dt": median, "duration": duration, "gaps": int(np.sum(gap)), "uneven": uneven}
-
-
-def _channel_report(channel: Channel, column: RawColumn, inside: slice) -> ChannelReport:
-    values = np.empty(0) if column.values is None else column.values[inside]
-    sound = values[np.isfinite(values)]
-    low, high = (float(sound.min()), float(sound.max())) if len(sound) else (float("nan"), float("nan"))
-    return ChannelReport(channel.name, column.place, channel.unit, channel.si, channel.sign, low, high, low < high)
 
 
 # --- What a record must satisfy before anything is computed from it; each failure is reported with its remedy.

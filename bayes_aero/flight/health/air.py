@@ -83,8 +83,18 @@ def air_data(record: FlightRecord, card: Card) -> Findings:
         yield from ratio.findings(record, card, (*GRAVE, "dynamic_pressure") if formed else GRAVE)
     if {"density", "altitude"} <= view.keys() and len(view["density"]):
         yield from _density(record, card, view)
-    if len(view.get("airspeed", ())) > 1 and "density" in view:
-        yield from _level_flight(record, card, view)
+    mass, area = float(card.aircraft.mass), float(card.aircraft.wing_area)
+    if len(view.get("airspeed", ())) > 1 and "density" in view and np.isfinite(mass * area):
+        rho, V = _middle(view["density"]), _middle(view["airspeed"])
+        # The lift coefficient of level flight, which these make together.
+        CL = _middle(mass * GRAVITY / np.maximum(0.5 * view["density"] * view["airspeed"] ** 2 * area, 1e-9))
+        if not LEAST <= CL <= MOST:
+            yield health.finding(
+                record, "airspeed" if THINNEST < rho < THICKEST else "density", "load",
+                f"level flight would need a lift coefficient of {CL:.3g} (mass {mass:.4g} kg, wing area {area:.4g} "
+                f"m^2, density {rho:.3g} kg/m^3, airspeed {V:.4g} m/s): correct the unit of one of them on the card",
+                None,
+            )  # fmt: skip
 
 
 def _ratios(record: FlightRecord, card: Card, view: View) -> Iterator[_Ratio]:
@@ -174,20 +184,6 @@ def _density(record: FlightRecord, card: Card, view: View) -> Findings:
         f"the density, {_middle(view['density']):.3g} kg/m^3, is {k:.3g} times that of a standard atmosphere at "
         f"the altitude, {height}; no unit explains it: correct {name} or altitude", None,
         grave=stated or abs(np.log(k)) > 1.0,
-    )  # fmt: skip
-
-
-def _level_flight(record: FlightRecord, card: Card, view: View) -> Findings:
-    """The lift coefficient of level flight, which mass, wing area, density and airspeed make together."""
-    mass, area = float(card.aircraft.mass), float(card.aircraft.wing_area)
-    rho, V = _middle(view["density"]), _middle(view["airspeed"])
-    CL = _middle(mass * GRAVITY / np.maximum(0.5 * view["density"] * view["airspeed"] ** 2 * area, 1e-9))
-    if LEAST <= CL <= MOST or not np.isfinite(mass * area):
-        return
-    yield health.finding(
-        record, "airspeed" if THINNEST < rho < THICKEST else "density", "load",
-        f"level flight would need a lift coefficient of {CL:.3g} (mass {mass:.4g} kg, wing area {area:.4g} m^2, "
-        f"density {rho:.3g} kg/m^3, airspeed {V:.4g} m/s): correct the unit of one of them on the card", None,
     )  # fmt: skip
 
 
