@@ -14,7 +14,7 @@ from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -306,7 +306,7 @@ def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: S
         raise InputError(f"{target}: it cannot be written ({reason.strerror}); check its permissions") from reason
 
 
-def _asc(columns: Columns, file: BinaryIO) -> None:
+def _asc(columns: Columns, file: io.BytesIO) -> None:
     """Columns where the card puts them; zeros in the columns that it does not map."""
     table = np.zeros((columns[0][1].size, max(channel.column or 0 for channel, _ in columns)))
     for channel, values in columns:
@@ -316,7 +316,7 @@ def _asc(columns: Columns, file: BinaryIO) -> None:
     np.savetxt(file, table, fmt="%.17g")  # 17 digits bring back every double exactly
 
 
-def _csv(columns: Columns, file: BinaryIO) -> None:
+def _csv(columns: Columns, file: io.BytesIO) -> None:
     import csv
 
     header = io.StringIO()
@@ -325,7 +325,7 @@ def _csv(columns: Columns, file: BinaryIO) -> None:
     np.savetxt(file, np.column_stack([values for _, values in columns]), fmt="%.17g", delimiter=",")
 
 
-def _mat(columns: Columns, file: BinaryIO) -> None:
+def _mat(columns: Columns, file: io.BytesIO) -> None:
     from scipy.io import savemat
 
     for channel, _ in columns:
@@ -335,7 +335,7 @@ def _mat(columns: Columns, file: BinaryIO) -> None:
     savemat(file, {channel.heading: values[:, None] for channel, values in columns}, do_compression=True)
 
 
-def _parquet(columns: Columns, file: BinaryIO) -> None:
+def _parquet(columns: Columns, file: io.BytesIO) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -343,7 +343,7 @@ def _parquet(columns: Columns, file: BinaryIO) -> None:
     pq.write_table(pa.table([values for _, values in columns], schema=pa.schema(fields)), file)
 
 
-def _netcdf(columns: Columns, file: BinaryIO) -> None:
+def _netcdf(columns: Columns, file: io.BytesIO) -> None:
     import xarray as xr
 
     variables = {}
@@ -354,6 +354,6 @@ def _netcdf(columns: Columns, file: BinaryIO) -> None:
     file.write(xr.Dataset(variables).to_netcdf(engine="h5netcdf"))
 
 
-WRITERS: dict[str, Callable[[Columns, BinaryIO], None]] = {
+WRITERS: dict[str, Callable[[Columns, io.BytesIO], None]] = {
     **dict.fromkeys((".asc", ".txt", ".dat"), _asc), ".csv": _csv, ".mat": _mat, ".parquet": _parquet, ".nc": _netcdf,
 }  # fmt: skip

@@ -1,5 +1,6 @@
 """Whatever bytes a file holds, reading it ends soon, in a record or in an InputError."""
 
+import io
 import warnings
 from contextlib import suppress
 from pathlib import Path
@@ -144,8 +145,8 @@ def test_random_tables(folder, suffix):
         path = folder / f"table{suffix}"
         with np.errstate(over="ignore"):
             columns = [(c, values[c.name] / IN_SI[c.name]) for c in CHANNELS]
-        with path.open("wb") as file:
-            WRITERS[suffix](columns, file)
+        WRITERS[suffix](columns, buffer := io.BytesIO())
+        path.write_bytes(buffer.getvalue())
         with suppress(InputError):
             record = read_record(path, CHANNELS, resample=resample)
             assert record.n >= 50
