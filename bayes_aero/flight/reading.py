@@ -109,7 +109,7 @@ def manoeuvres(paths: Paths, channels: Channels, *, segments: Parts = None, spli
     between gaps, if it is to `split` them. A path with a part stands for that alone."""
     clock = [replace(channel, required=True) if channel.name == "time" else channel for channel in channels]
     found: list[Path] = []
-    for path in map(os.fspath, paths):
+    for path in [os.fspath(path) for path in paths]:
         segment, named = segment_of(path), ()
         if segment.whole:
             named = (segments or {}).get(segment.file.name, ())
