@@ -31,9 +31,8 @@ from bayes_aero.diagnosis.view import holdout_scores, view_of
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
-from bayes_aero.flight.checks import check_arrays, without_bad_options
 from bayes_aero.flight.health import Consistency, HealthFinding
-from bayes_aero.flight.reading import read_records
+from bayes_aero.flight.reading import check_arrays, read_records, without_bad_options
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency import coefficients_in_band
 from bayes_aero.inference.mle import fit_each_manoeuvre, fit_mle, without_noise_bias

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import cache, lru_cache
 from itertools import product
 from typing import Any
@@ -34,6 +34,7 @@ _SAYS_NOTHING = frozenset(("-", "--", "none", "nd", "n/d"))  # in a file, of a q
 
 # Units that count turns. pint holds them for plain numbers, so "%" would pass for an angle and Hz for rad/s.
 _ANGLES = {"radian", "degree", "arcminute", "arcsecond", "turn", "revolution", "grade", "gon", "milliradian"}
+_ANGLES |= {"revolutions_per_minute", "revolutions_per_second"}
 
 
 @cache
@@ -52,80 +53,62 @@ def _registry() -> Any:
 @lru_cache(maxsize=2048)
 def _meanings(unit: str) -> tuple[tuple[str, Any], ...]:
     """What a unit may mean, each as cards spell it and as pint's unit; the likeliest first."""
-    if not unit.strip():
+    plain = unit.strip()
+    if not plain:
         return (("1", _registry().Unit("dimensionless")),)
-    known = spellings(unit)
-    if known:
-        return tuple((text, _pint(text)) for text in known)
-    if unit.strip() not in _EXACT and unit.strip().lower() in _CASE_TELLS:
-        return ()  # the capitals leave open which of two units is meant: "MS" is no siemens, either
-    try:
-        return ((unit.strip(), _pint(unit)),)
-    except InputError:
-        return ()
+    if not (texts := spellings(unit)):  # of some, capitals leave open which of two is meant: "MS" is no siemens, either
+        texts = () if plain not in EXACT and plain.lower() in _CASE_TELLS else (plain,)
+    return tuple((text, known) for text in texts if (known := _pint(text)) is not None)
 
 
 def _pint(unit: str) -> Any:
-    """The pint unit of a text; "g" alone is standard gravity, which to pint is the gram."""
-    text = "standard_gravity" if unit == "g" else unit.strip().replace("^", "**")
+    """The pint unit of a text, None if it is none; "g" alone is standard gravity, which to pint is the gram."""
+    text = "standard_gravity" if unit == "g" else unit.replace("^", "**")
     # "m/s2" and "m s-1" are not pint's spelling, but everybody's
     for candidate in (text, _POWER.sub(r"**\1", text)):
-        if len(candidate) > _LONGEST or _SAFE.fullmatch(candidate) is None or re.search(r"\*\*-?\d\s*\*\*", candidate):
-            continue
-        try:
-            return _registry().parse_units(candidate)
-        except Exception:  # pint leaks AssertionError, TypeError, tokenizer errors ... for text that is no unit
-            continue
-    raise InputError(unit)
-
-
-def _known(unit: str, where: str) -> tuple[Any, ...]:
-    """The pint units that `unit` may name."""
-    if not (found := _meanings(unit)):
-        raise InputError(f"{where}: the unit {unit[:40]!r} is not known; write it as in pint, {_EXAMPLES}")
-    return tuple(meant for _, meant in found)
+        odd = len(candidate) > _LONGEST or re.search(r"\*\*-?\d\s*\*\*", candidate)
+        # pint leaks AssertionError, TypeError, tokenizer errors ... for text that is no unit
+        with suppress(Exception):
+            if not odd and _SAFE.fullmatch(candidate):
+                return _registry().parse_units(candidate)
+    return None
 
 
 def _pair(one: str, other: str, where: str) -> tuple[Any, Any]:
     """Two units as they are meant beside each other: "lb" is a mass beside "kg" and a force beside "N"."""
-    first, second = _known(one, where), _known(other, where)
-    fitting = ((a, b) for a in first for b in second if a.dimensionality == b.dimensionality)
-    return next(fitting, (first[0], second[0]))
+    for unit in (one, other):
+        if not _meanings(unit):
+            raise InputError(f"{where}: the unit {unit[:40]!r} is not known; write it as in pint, {_EXAMPLES}")
+    pairs = [(a, b) for _, a in _meanings(one) for _, b in _meanings(other)]
+    return next((pair for pair in pairs if pair[0].dimensionality == pair[1].dimensionality), pairs[0])
 
 
 def canonical(text: str, si: str | None = None) -> str | None:
     """A unit as cards spell it ("FT/SEC": "ft/s"), of the kind of `si` if it has two meanings; None if it is none."""
-    found = _meanings(text) if text.strip() else ()
-    if si is not None and len(found) > 1:
-        wanted = _known(si, "unit")[0].dimensionality
-        found = [pair for pair in found if pair[1].dimensionality == wanted] or found
-    return found[0][0] if found else None
+    meanings = _meanings(text) if text.strip() else ()
+    if si is not None and len(meanings) > 1:
+        wanted = _pair(si, si, "unit")[0].dimensionality
+        meanings = [pair for pair in meanings if pair[1].dimensionality == wanted] or meanings
+    return meanings[0][0] if meanings else None
 
 
 def _turns(unit: Any) -> float:
     """The power to which an angle enters a unit: 1 for deg/s, 0 for m, -1 for 1/rad."""
-    powers = _registry().Quantity(1, unit).unit_items()
-    rpm = ("revolutions_per_minute", "revolutions_per_second")
-    return sum(power for name, power in powers if name in _ANGLES or name in rpm)
+    return sum(power for name, power in _registry().Quantity(1, unit).unit_items() if name in _ANGLES)
 
 
 def _convert(values: Any, source: str, target: str, where: str) -> Any:
     have, want = _pair(source, target, where)
-    if have == want:
-        return values
     try:
         with np.errstate(all="ignore"):  # an overflow gives inf, which the record checks tell better
-            return _registry().Quantity(values, have).to(want).magnitude
+            return values if have == want else _registry().Quantity(values, have).to(want).magnitude
     except Exception as reason:  # DimensionalityError, OffsetUnitCalculusError, ...: these do not belong together
-        raise InputError(
-            f"{where}: the unit {source!r} cannot be turned into {target!r}; correct the unit, {_EXAMPLES}"
-        ) from reason
+        raise InputError(f"{where}: the unit {source!r} cannot be turned into {target!r}; correct the unit") from reason
 
 
 def si_unit(unit: str, where: str = "unit") -> str:
     """The SI unit (angles: radian) that a quantity in `unit` is held in, e.g. "rad/s" for "deg/s"."""
-    base = _registry().get_base_units(_known(unit, where)[0])[1]
-    return f"{base:~}".replace(" ", "") or "1"
+    return f"{_registry().get_base_units(_pair(unit, unit, where)[0])[1]:~}".replace(" ", "") or "1"
 
 
 def to_si(values: Any, unit: str, channel_name: str, target: str | None = None) -> np.ndarray:
@@ -144,44 +127,35 @@ def _between(values: Any, source: str, target: str, given: str, where: str) -> n
     """Values in another unit; an angle stays one. `given`: which of the two units is not SI."""
     have, want = _pair(source, target, where)
     if _turns(have) != _turns(want):
-        raise InputError(
-            f"{where}: the unit {given!r} does not fit {target if given == source else source!r}; an angle needs an "
-            'angular unit, and only an angle does: "deg", "rad", "deg/s" or "rad/s" for angles and rates, "1" or "%" '
-            "for ratios"
-        )
+        wanted = target if given == source else source
+        needs = 'an angle, and nothing else, needs an angular unit: "deg", "rad", "deg/s", "rad/s"'
+        raise InputError(f"{where}: the unit {given!r} does not fit {wanted!r}; {needs}")
     return np.asarray(_convert(np.array(values, dtype=np.float64), source, target, where), dtype=np.float64)
-
-
-def _of_one_kind(one: str, other: str) -> tuple[Any, ...] | None:
-    """Both units; none of them where a quantity cannot be given in either; None where one is no unit at all."""
-    try:
-        first, second = _pair(one, other, "unit")
-    except InputError:
-        return None
-    alike = first.dimensionality == second.dimensionality and _turns(first) == _turns(second)
-    return (first, second) if alike else ()
 
 
 def same_unit(one: str, other: str) -> bool | None:
     """Whether two spellings mean one unit; None where either is none, or a dash beside one that is."""
-    if not (pair := _of_one_kind(one, other)):
-        return None if pair is None or {one.strip().lower(), other.strip().lower()} & _SAYS_NOTHING else False
+    if not _meanings(one) or not _meanings(other):
+        return None
+    if not same_kind(one, other):
+        return None if {one.strip().lower(), other.strip().lower()} & _SAYS_NOTHING else False
     # Two points, for scales with an offset such as degC.
-    quantity, (first, second) = _registry().Quantity, pair
-    return all(math.isclose(quantity(x, first).to(second).magnitude, x, rel_tol=1e-9) for x in (1.0, 300.0))
+    return all(math.isclose(_convert(x, one, other, "unit"), x, rel_tol=1e-9) for x in (1.0, 300.0))
 
 
 def same_kind(one: str, other: str) -> bool:
     """Whether a quantity can be given in either unit; False where one is no unit at all."""
-    return bool(_of_one_kind(one, other))
+    if not _meanings(one) or not _meanings(other):
+        return False
+    first, second = _pair(one, other, "unit")
+    return first.dimensionality == second.dimensionality and _turns(first) == _turns(second)
 
 
 def quantity_to_si(value: Any, expected: str, where: str) -> float:
     """A constant with its unit, "17631 kg", in `expected`, SI. A bare number only without dimension: a mass without
     unit is how a pound slips in."""
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise InputError(f'{where} is {str(value)[:60]!r}; write a number with its unit, e.g. "1.5 {expected}"')
-    match = _NUMBER.fullmatch(str(value))
+    plain = isinstance(value, int | float | str) and not isinstance(value, bool)
+    match = _NUMBER.fullmatch(str(value)) if plain else None
     if match is None or not math.isfinite(float(match[1])):
         raise InputError(f'{where} is {str(value)[:60]!r}; write a finite number with its unit, e.g. "1.5 {expected}"')
     number, unit = float(match[1]), match[2].strip()
@@ -191,10 +165,8 @@ def quantity_to_si(value: Any, expected: str, where: str) -> float:
         raise InputError(f'{where} is {str(value)!r}, without a unit; write e.g. "{value} {expected}"')
     if expected == "kg" and same_kind(unit, "N") and not same_kind(unit, "kg"):  # a pound is either
         mass = float(_convert(number, unit, "N", where)) / STANDARD_GRAVITY
-        pounds = not same_unit(unit, "N") and not same_unit(unit, "kN")
-        slugs = f' or "{_convert(mass, "kg", "slug", where):.6g} slug"' if pounds else ""
-        how = f'write the mass, weight over g = 9.80665 m/s^2: "{mass:.6g} kg"{slugs}'
-        raise InputError(f"{where} is {str(value)!r}, a weight; {how}")
+        mend = f'write the mass, weight over g = 9.80665 m/s^2: "{mass:.6g} kg"'
+        raise InputError(f"{where} is {str(value)!r}, a weight; {mend}")
     return float(_convert(number, unit or "1", expected, where))
 
 
@@ -242,14 +214,14 @@ _WORDS: dict[str, str] = {
     "slug/ft^3": "slugft3", "kg m^2": "kgm2", "kg/m^3": "kgm3", "Hz": "hz", "%": "% pct percent prct pc %rpm %n1 %n2",
     "1": "1 - -- none nd n/d nondim dimensionless unitless ratio fraction frac mach",
 }  # fmt: skip
-_FOLDED: dict[str, tuple[str, ...]] = {word: (unit,) for unit, text in _WORDS.items() for word in text.split()}
-_FOLDED |= dict.fromkeys(("lb", "lbs", "pound", "pounds"), ("lb", "lbf"))  # mass or force: the quantity decides
-_FOLDED["kn"] = ("kN", "kt")
-_EXACT: dict[str, tuple[str, ...]] = {
+FOLDED: dict[str, tuple[str, ...]] = {word: (unit,) for unit, text in _WORDS.items() for word in text.split()}
+FOLDED |= dict.fromkeys(("lb", "lbs", "pound", "pounds"), ("lb", "lbf"))  # mass or force: the quantity decides
+FOLDED["kn"] = ("kN", "kt")
+EXACT: dict[str, tuple[str, ...]] = {
     "ms": ("ms",), "Ms": ("Ms",), "mm": ("mm",), "mN": ("mN",), "MN": ("MN",), "mPa": ("mPa",), "MPa": ("MPa",),
     "kN": ("kN",), "kn": ("kt", "kN"), "mg": ("mg", "mg0"), "mrad": ("mrad",), "mV": ("mV",), "V": ("V",),
 }  # fmt: skip
-_CASE_TELLS = frozenset(word.lower() for word in _EXACT) - {"kn", "v", "mrad"}
+_CASE_TELLS = frozenset(word.lower() for word in EXACT) - {"kn", "v", "mrad"}
 """Written otherwise than above these are not known: "MS" and "MPA" may be a million times another unit."""
 
 _RUN_TOGETHER = {"ms-1": "m/s", "ms-2": "m/s^2", "degs-1": "deg/s", "degs-2": "deg/s^2", "rads-1": "rad/s"}
@@ -272,65 +244,49 @@ def spellings(text: str) -> tuple[str, ...]:
     plain = text.strip().strip("[](){}<> ").translate(_PLAIN).strip()
     if not plain or len(plain) > _LONGEST:
         return ()
-    plain = _RAISED.sub(lambda found: found[2] + ("^2" if found[1][0] in "sS" else "^3"), plain)
+    plain = _RAISED.sub(lambda match: match[2] + ("^2" if match[1][0] in "sS" else "^3"), plain)
     plain = _UNDER.sub(r"/\1", plain)
     together = re.sub(r"[\s_.^]+", "", plain).lower()
     if together in _RUN_TOGETHER:
         return (_RUN_TOGETHER[together],)
-    one = _word(together if together.startswith("%") else plain)  # "% N1" is no product
-    if one:
-        return one
+    if word := _word(together if together.startswith("%") else plain):  # "% N1" is no product
+        return word
     first, _, last = plain.replace("(", " ").rpartition(" ")
     if first and last.lower() in _ASIDE:
         return spellings(first)
-    several: tuple[str, ...] = ()
-    factors = _factors(plain)
-    if factors is not None:
-        powers = [power for _, power in factors]
-        every = (_composed(zip(units, powers, strict=True)) for units in product(*(meant for meant, _ in factors)))
-        several = tuple(dict.fromkeys(every))
+    several = _product(plain)
     if several and not _TEMPERATURES & set(several[0].split()):
         return several
-    return () if together in _CASE_TELLS else _FOLDED.get(together, several)
-
-
-def words() -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Every spelling of one word that the table holds, and what it may mean."""
-    yield from _FOLDED.items()
-    yield from _EXACT.items()
+    return () if together in _CASE_TELLS else FOLDED.get(together, several)
 
 
 def _word(word: str) -> tuple[str, ...]:
-    if word in _EXACT:
-        return _EXACT[word]
     folded = word.lower()
-    return () if folded in _CASE_TELLS else _FOLDED.get(folded, ())
+    return EXACT[word] if word in EXACT else () if folded in _CASE_TELLS else FOLDED.get(folded, ())
 
 
-def _factors(text: str) -> list[tuple[tuple[str, ...], int]] | None:
-    """Known words and their powers, of products and quotients as "slug-ft2", "DEG/SEC**2"; None for anything else."""
+def _product(text: str) -> tuple[str, ...]:
+    """What products and quotients of known words may mean, as "slug-ft2", "DEG/SEC**2"; empty for anything else."""
     left = _PER.sub("/", text)
     left = left[1:] if left.startswith("1/") else left
-    factors: list[tuple[tuple[str, ...], int]] = []
+    factors: list[list[tuple[str, int]]] = []  # meanings of each, with their power
     while left.strip():
-        found = _FACTOR.match(left)
-        meant = _word(found[2]) if found else ()
-        if found is None or not meant or meant == ("1",):
-            return None
-        power = int(re.sub(r"[\^*()]", "", found[3])) if found[3] else 1
-        factors.append((meant, -power if found[1] == "/" else power))
-        left = left[found.end() :]
-    return factors
-
-
-def _composed(factors: Iterable[tuple[str, int]]) -> str:
-    """One spelling of a product, each word once: "m/s^2" of m, 1/s and 1/s."""
-    powers: dict[str, int] = {}
-    for unit, power in factors:
-        above, *below = unit.split("/")
-        for sign, part in [*((1, part) for part in above.split()), *((-1, part) for part in below)]:
-            name, _, own = part.partition("^")
-            powers[name] = powers.get(name, 0) + sign * int(own or 1) * power
-    above = " ".join(f"{n}^{p}" if p > 1 else n for n, p in powers.items() if p > 0)
-    below = "".join(f"/{n}^{-p}" if p < -1 else f"/{n}" for n, p in powers.items() if p < 0)
-    return (above or "1") + below
+        match = _FACTOR.match(left)
+        meant = _word(match[2]) if match else ()
+        if match is None or not meant or meant == ("1",):
+            return ()
+        power = int(re.sub(r"[\^*()]", "", match[3])) if match[3] else 1
+        factors.append([(unit, -power if match[1] == "/" else power) for unit in meant])
+        left = left[match.end() :]
+    composed = []
+    for units in product(*factors) if factors else ():  # each word once: "m/s^2" of m, 1/s and 1/s
+        powers: dict[str, int] = {}
+        for unit, power in units:
+            above, *below = unit.split("/")
+            for sign, part in [*((1, part) for part in above.split()), *((-1, part) for part in below)]:
+                name, _, own = part.partition("^")
+                powers[name] = powers.get(name, 0) + sign * int(own or 1) * power
+        above = " ".join(f"{n}^{p}" if p > 1 else n for n, p in powers.items() if p > 0)
+        below = "".join(f"/{n}^{-p}" if p < -1 else f"/{n}" for n, p in powers.items() if p < 0)
+        composed.append((above or "1") + below)
+    return tuple(dict.fromkeys(composed))

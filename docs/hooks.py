@@ -87,10 +87,10 @@ def channels() -> str:
 
 def units() -> str:
     """Spellings of units."""
-    from bayes_aero.units import words
+    from bayes_aero.units import EXACT, FOLDED
 
     spelled: dict[str, list[str]] = {}
-    for word, meant in sorted(words()):
+    for word, meant in sorted([*FOLDED.items(), *EXACT.items()]):
         for unit in meant:
             spelled.setdefault(unit, []).extend([] if word in (unit, *spelled.get(unit, ())) else [word])
     rows = [(f"`{unit}`", ", ".join(f"`{word}`" for word in others)) for unit, others in sorted(spelled.items())]

@@ -33,7 +33,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight import reading
 from bayes_aero.flight.health import Consistency
 from bayes_aero.flight.health.channel import channel_health
-from bayes_aero.flight.readers.text import open_text
+from bayes_aero.flight.text import open_text
 from bayes_aero.inference.results import Posterior, PosteriorStatus
 from bayes_aero.jobs.check import RecordChecks
 from bayes_aero.jobs.options import IdentifyOptions

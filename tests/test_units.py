@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_aero.errors import InputError
-from bayes_aero.units import canonical, from_si, quantity_to_si, same_unit, si_unit, spellings, to_si, words
+from bayes_aero.units import EXACT, FOLDED, canonical, from_si, quantity_to_si, same_unit, si_unit, spellings, to_si
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_known_factors(unit, target, one):
     np.testing.assert_allclose(from_si(to_si([0.3, 7.0], unit, "x", target), unit, "x", target), [0.3, 7.0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("word", sorted({word for word, _ in words()}))
+@pytest.mark.parametrize("word", sorted({*FOLDED, *EXACT}))
 def test_every_spelling_of_the_table_is_a_unit_that_stays_itself(word):
     for unit in spellings(word):
         assert canonical(unit, si_unit(unit)) == unit
@@ -149,7 +149,4 @@ def test_a_weight_for_a_mass_is_refused_with_the_mass_to_write(weight, kg):
     with pytest.raises(InputError) as told:
         quantity_to_si(weight, "kg", "mass")
     assert float(re.search(r'"([\d.]+) kg"', str(told.value))[1]) == pytest.approx(kg, rel=1e-5)
-    assert ("slug" in str(told.value)) is ("lbf" in weight)
-    if "lbf" in weight:  # 12138.7 lbf over 32.17405 ft/s^2
-        assert '"377.282 slug"' in str(told.value)
     assert quantity_to_si("1000 lb", "kg", "mass") == pytest.approx(453.59237)

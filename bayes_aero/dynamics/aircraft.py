@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.system import Row, System
 from bayes_aero.effect import Stage
-from bayes_aero.flight.card_tables import HOLDABLE
+from bayes_aero.flight.card import HOLDABLE
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import FLIGHT, RIGID, Aircraft, Axis, air

@@ -29,8 +29,7 @@ from bayes_aero.dynamics.system import LinearSystem, OfPlain, System
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import Card, channel_units
-from bayes_aero.flight.card_tables import ONE, LinearCard
+from bayes_aero.flight.card import ONE, Card, LinearCard, channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.kinematics import dead_heading
 from bayes_aero.model.model import Model, as_on_card

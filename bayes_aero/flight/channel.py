@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,14 +38,13 @@ class Channel:
         return np.asarray(self.sign * from_si(values, self.unit, self.name, self.si))
 
 
-@dataclass(frozen=True)
-class StandardChannel:
-    """A channel that the program knows."""
+class StandardChannel(NamedTuple):
+    """A channel that the program knows; `plausible` is what no sound record leaves: it catches wrong units."""
 
     name: str
     unit: str  # SI
     description: str
-    plausible: tuple[float, float]  # that no sound record leaves. Wide: they catch wrong units, not odd flying
+    plausible: tuple[float, float]
 
 
 _TABLE = (
@@ -107,9 +106,7 @@ _TABLE = (
     ("gear", "1", "landing gear, 0 up", -1.0, 100.0),
 )
 
-STANDARD_CHANNELS: dict[str, StandardChannel] = {
-    name: StandardChannel(name, unit, description, (lo, hi)) for name, unit, description, lo, hi in _TABLE
-}
+STANDARD_CHANNELS = {name: StandardChannel(name, unit, text, (lo, hi)) for name, unit, text, lo, hi in _TABLE}
 
 UNITS: dict[str, tuple[str, ...]] = {
     "rad": ("deg", "rad"), "rad/s": ("deg/s", "rad/s"), "rad/s^2": ("deg/s^2", "rad/s^2"), "m": ("ft", "m"),
@@ -122,7 +119,6 @@ UNITS: dict[str, tuple[str, ...]] = {
 
 
 def unit_choices(name: str) -> tuple[str, ...]:
-    """Units that files have a channel in."""
     return UNITS.get(STANDARD_CHANNELS[name].unit, ()) if name in STANDARD_CHANNELS else ()
 
 
@@ -152,27 +148,25 @@ _NAMES: dict[str, str] = {
     "radio_altitude": "radalt ralt hradio radioaltitude radaralt",
     "elevator": "de deteu deted elevteu elevted elevator elev delv deltae elevatordeflection elevatorposition elevpos "
     "elevatorpos dele elevdefl",
-    "elevator_left": "elevatorleft leftelevator elevleft elevl elvl elevatorl",
-    "elevator_right": "elevatorright rightelevator elevright elevr elvr elevatorr",
-    "elevon_left": "elevonleft leftelevon elevonl",
-    "elevon_right": "elevonright rightelevon elevonr",
+    "elevator_left": "elvl",
+    "elevator_right": "elvr",
     "canard": "canard deltac canardposition canardpos canarddeflection",
     "stabilizer": "stab stabilizer stabiliser ih ihtrm pitchtrim stabtrim htrim stabpos",
     "rudder": "dr rudder rud drud rudderposition rudpos deltar rudderdeflection",
     "aileron": "ail aileron da dail deltaa aileronposition ailpos ailerondeflection dela",
-    "aileron_left": "daill aileronleft leftaileron ailleft aill dal",
-    "aileron_right": "dailr aileronright rightaileron ailright ailr dar",
+    "aileron_left": "ailleft aill dal",
+    "aileron_right": "ailright ailr dar",
     "flap": "flap flaps flapposition flappos df flapangle flapdeflection",
-    "spoiler_left": "dspll spoilerleft leftspoiler spll",
-    "spoiler_right": "dsplr spoilerright rightspoiler splr",
-    "n1_left": "n1l n1left n1eng1 n11 n1t1l",
-    "n1_right": "n1r n1right n1eng2 n12 n1t2r",
+    "spoiler_left": "dspll spll",
+    "spoiler_right": "dsplr splr",
+    "n1_left": "n1l n1eng1 n11 n1t1l",
+    "n1_right": "n1r n1eng2 n12 n1t2r",
     "thrust": "thrust fn netthrust totalthrust thrusttotal fntotal thr",
-    "thrust_left": "thrustleft thrustl fnl leftthrust fnleft thrust1 fn1 thrl",
-    "thrust_right": "thrustright thrustr fnr rightthrust fnright thrust2 fn2 thrr",
+    "thrust_left": "fnl fnleft thrust1 fn1 thrl",
+    "thrust_right": "fnr fnright thrust2 fn2 thrr",
     "throttle": "throttle throttleposition throttlepos",
-    "throttle_left": "throttleleft leftthrottle throttlel throttle1",
-    "throttle_right": "throttleright rightthrottle throttler throttle2",
+    "throttle_left": "throttle1",
+    "throttle_right": "throttle2",
     "engine_speed": "rpm enginerpm enginespeed proprpm propellerspeed",
     "dynamic_pressure": "qbar dynamicpressure dynpress dynpres dynpressure pdyn qdyn qinf dynp",
     "p_dot": "pdot rollaccel rollacceleration angularaccx",
@@ -219,8 +213,6 @@ _IN_NAME |= dict.fromkeys(("rpm", "enginerpm", "proprpm"), "rpm")
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<]([^\])}>]*)[\])}>]\s*$")
 _BEHIND_COMMA = re.compile(r"([^,]*),_*([^,]+?)_*")  # "alpha,__deg"
 _PARTS = re.compile(r"[\s_.:/#-]+")
-
-
 _BESIDE = frozenset(
     "gyro vane sensor meas measured recorded raw filt filtered up down imu ahrs ins irs adc fdr eng probe boom".split()  # noqa: SIM905
 )

@@ -8,10 +8,12 @@ InputError that starts with the file's name.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -19,50 +21,56 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
-from scipy.ndimage import binary_closing, binary_dilation, uniform_filter1d
 
 from bayes_aero.errors import InputError
+from bayes_aero.flight import binary, text
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, split_heading
-from bayes_aero.flight.checks import JITTER, check_record, failures, resample_record, without_bad_options
-from bayes_aero.flight.health import runs_of
-from bayes_aero.flight.health.air import grounded
-from bayes_aero.flight.readers import FileColumn, Heading, HeadingIndex, OpenedFile, binary, located, text
-from bayes_aero.flight.record import GAP, SHORTEST, FlightRecord, cut, expanded, parts_of, samples_of, segment_of
-from bayes_aero.units import canonical, instant, same_kind, same_unit, to_si
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, StandardChannel, split_heading, unit_choices
+from bayes_aero.flight.health.air import Proposal, proposals
+from bayes_aero.flight.health.channel import held_period
+from bayes_aero.flight.record import GAP, SHORTEST, FlightRecord, parts_of, samples_of, segment_of
+from bayes_aero.flight.text import FileColumn, Heading, OpenedFile, candidates, located
+from bayes_aero.units import canonical, from_si, instant, number, same_kind, same_unit, to_si
 
-READERS: Mapping[str, Callable[[bytes], OpenedFile]] = dict(sorted((text.READS | binary.READS).items()))
+READERS: dict[str, Callable[[bytes], OpenedFile]] = dict(
+    sorted((dict.fromkeys((".asc", ".txt", ".dat", ".csv", ".tsv"), text.open_text) | binary.READS).items())
+)
 """What opens a file, by its suffix."""
 
+Paths = Sequence[str | os.PathLike[str]]
+Channels = Sequence[Channel]
+Parts = Mapping[str, Sequence[str]] | None  # of files by their name, as a card states them
 MAX_BYTES = 1 << 30  # largest file that is taken for one manoeuvre: 1 GiB
 
 
-def read_record(
-    path: str | os.PathLike[str], channels: Sequence[Channel], *, resample: float | None = None
-) -> FlightRecord:
-    """Read, convert and check one manoeuvre; without `resample` uneven sampling and missing samples are refused."""
-    name = os.fspath(path)
+@contextmanager
+def _named(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
-        segment = segment_of(path)
-        record = without_bad_options(cut(_as_filed(path, channels), segment), channels, blanks=resample is not None)
+        yield
+    except InputError as reason:
+        raise InputError(f"{os.fspath(path)}: {reason}") from reason
+
+
+def read_record(path: str | os.PathLike[str], channels: Channels, *, resample: float | None = None) -> FlightRecord:
+    """Read, convert and check one manoeuvre; without `resample` uneven sampling and missing samples are refused."""
+    with _named(path):
+        filed = _as_filed(path, channels)
+        filed = filed.part(samples_of(filed.time, segment_of(path)))
+        record = without_bad_options(filed, channels, blanks=resample is not None)
         check_record(record, even=resample is None, channels=channels)
         if resample is not None:
             record = without_bad_options(resample_record(record, resample), channels)
             check_record(record, channels=channels)
-    except InputError as reason:
-        raise InputError(f"{name}: {reason}") from reason
-    return record
+        return record
 
 
-def _as_filed(path: str | os.PathLike[str], channels: Sequence[Channel]) -> FlightRecord:
+def _as_filed(path: str | os.PathLike[str], channels: Channels) -> FlightRecord:
     """The whole file in SI, unchecked, without samples that were written twice."""
     segment = segment_of(path)
-    opens = format_of(segment.file)
-    names = [channel.name for channel in channels]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"channel {name} is mapped twice on the card; keep one of the two")
-    if "time" not in names:
+    opens, often = format_of(segment.file), Counter(channel.name for channel in channels)
+    for name in (name for name, count in often.items() if count > 1):
+        raise InputError(f"channel {name} is mapped twice on the card; keep one of the two")
+    if "time" not in often:
         raise InputError('channel time is not mapped on the card; add it to [channels] with unit = "s"')
     data = bytes_of(segment.file)
     opened = opens(data)
@@ -71,25 +79,14 @@ def _as_filed(path: str | os.PathLike[str], channels: Sequence[Channel]) -> Flig
     if "time" not in columns:
         raise InputError("channel time is missing, and a record needs it; set required = true and correct its place")
     si = {c.name: in_si(c, columns[c.name], places[c.name]) for c in channels if c.name in columns}
-    record = FlightRecord(
-        name=segment.label,
-        time=si["time"],
-        channels=si,
-        source=os.fspath(path),
-        sha256=hashlib.sha256(data).hexdigest(),
-        remarks=tuple(opened.remarks),
-        read={
-            "path": os.fspath(path).removesuffix(f"@{segment.words}") if segment.words else os.fspath(path),
-            "part": segment.words,
-            "resample": None,
-            "windows": [],
-            "split": False,
-        },
-    )
-    return without_repeats(record)
+    source, digest = os.fspath(path), hashlib.sha256(data).hexdigest()
+    file = source.removesuffix(f"@{segment.words}") if segment.words else source
+    read = {"path": file, "part": segment.words, "resample": None, "windows": [], "split": False}
+    remarks = tuple(opened.remarks)
+    return without_repeats(FlightRecord(segment.label, si["time"], si, source, digest, remarks=remarks, read=read))
 
 
-def read_again(read: Mapping[str, Any], file: Path, channels: Sequence[Channel]) -> FlightRecord:
+def read_again(read: Mapping[str, Any], file: Path, channels: Channels) -> FlightRecord:
     """The record that was `read` before (see `FlightRecord.read`), from the whole `file`, where it is now."""
     part = f"@{read['part']}" if read["part"] else ""
     record = read_record(f"{file}{part}", channels, resample=read["resample"])
@@ -99,12 +96,7 @@ def read_again(read: Mapping[str, Any], file: Path, channels: Sequence[Channel])
 
 
 def read_records(
-    paths: Sequence[str | os.PathLike[str]],
-    channels: Sequence[Channel],
-    *,
-    resample: float | None = None,
-    segments: Mapping[str, Sequence[str]] | None = None,
-    split: bool = False,
+    paths: Paths, channels: Channels, *, resample: float | None = None, segments: Parts = None, split: bool = False
 ) -> list[FlightRecord]:
     """Every manoeuvre of every file, also of those that a gap `split`s; the first bad one is reported."""
     parts = manoeuvres(paths, channels, segments=segments, split=split)
@@ -112,22 +104,26 @@ def read_records(
     return [replace(record, read={**record.read, "split": split}) for record in records]
 
 
-def manoeuvres(
-    paths: Sequence[str | os.PathLike[str]],
-    channels: Sequence[Channel],
-    *,
-    segments: Mapping[str, Sequence[str]] | None = None,
-    split: bool = False,
-) -> list[Path]:
-    """The paths of single manoeuvres that `paths` stand for, see `read_records`."""
+def manoeuvres(paths: Paths, channels: Channels, *, segments: Parts = None, split: bool = False) -> list[Path]:
+    """The manoeuvres that files stand for: what a card has stated of a file of that name (`segments`), else its parts
+    between gaps, if it is to `split` them. A path with a part stands for that alone."""
     clock = [replace(channel, required=True) if channel.name == "time" else channel for channel in channels]
-    times: dict[str, np.ndarray] = {}
-    for path in paths if split else ():
-        try:
-            times[os.fspath(path)] = _as_filed(segment_of(path).file, clock).time
-        except InputError as reason:
-            raise InputError(f"{os.fspath(path)}: {reason}") from reason
-    return expanded(paths, segments or {}, times if split else None)
+    found: list[Path] = []
+    for path in [os.fspath(path) for path in paths]:
+        segment, named = segment_of(path), ()
+        if segment.whole:
+            named = (segments or {}).get(segment.file.name, ())
+        if split:
+            with _named(path):
+                time = _as_filed(segment.file, clock).time
+            if not named and segment.whole and len(parts := parts_of(time)) > 1:
+                forward = bool((np.diff(time) > 0.0).all())
+                long = [(k, a, b) for k, (a, b) in enumerate(parts, 1) if b - a >= SHORTEST]
+                names = (f"{time[a]:.15g}:{time[b - 1]:.15g}" if forward else f"#{k}" for k, a, b in long)
+                found += [Path(f"{path}@{name}") for name in names]
+                continue
+        found += [Path(f"{path}@{part}") for part in named] or [Path(path)]
+    return found
 
 
 def present(path: Path) -> None:
@@ -143,30 +139,25 @@ def present(path: Path) -> None:
 
 def format_of(path: Path) -> Callable[[bytes], OpenedFile]:
     """What opens a file, told by its suffix."""
-    given = f"the suffix {path.suffix!r}" if path.suffix else "a file without suffix"
     if (suffix := path.suffix.lower()) not in READERS:
-        raise InputError(
-            f"{given} is not known; flight records end in {', '.join(READERS)}: rename or convert the file"
-        )
+        given = f"the suffix {path.suffix!r}" if path.suffix else "a file without suffix"
+        raise InputError(f"{given} is not known; flight records end in {', '.join(READERS)}: convert the file")
     return READERS[suffix]
 
 
 def bytes_of(path: Path) -> bytes:
     """The whole file: hashed as read, and no parser can be led to read beyond its end."""
     try:
-        if path.is_dir():
-            raise InputError("it is a directory; name a file in it")
-        if not path.exists():
-            raise InputError(_no_such_file(path))
         if not path.is_file():
-            raise InputError("it is a pipe or a device; write the data to a regular file first")
-        size = path.stat().st_size
-        if size > MAX_BYTES:
+            odd = "it is a pipe or a device; write the data to a regular file first"
+            odd = "it is a directory; name a file in it" if path.is_dir() else odd
+            raise InputError(odd if path.exists() else _no_such_file(path))
+        if (size := path.stat().st_size) > MAX_BYTES:
             raise InputError(f"it has {size} bytes, more than {MAX_BYTES}; cut it to the manoeuvre")
         data = path.read_bytes()
+    except InputError:
+        raise
     except (OSError, ValueError) as reason:
-        if isinstance(reason, InputError):
-            raise
         raise InputError(f"it cannot be read ({reason}); check its name and permissions") from reason
     if not data:
         raise InputError("the file is empty; copy or write it again")
@@ -183,27 +174,17 @@ def _no_such_file(path: Path) -> str:
 
 def in_si(channel: Channel, column: FileColumn, heading: Heading) -> np.ndarray:
     """A channel's values in SI, (n,), with the card's sign. Raises InputError: the file states another unit than the
-    card."""
-    unit = unit_in_file(channel, column, heading)
-    standard = STANDARD_CHANNELS.get(channel.name)
+    card: in a row of units, an attribute, or its name ("rho (slug/ft3)"). What a name seems to say counts only where
+    the channel can have that unit: the "g" of "q_g" may be a gyro."""
+    unit, standard = column.unit, STANDARD_CHANNELS.get(channel.name)
+    for named in (split_heading(name, channel.unit)[1] for name in heading.names) if unit is None else ():
+        unit = named if unit is None and named is not None and same_kind(named, channel.unit) else unit
     if unit is not None and same_unit(unit, channel.unit) is False:
         raise InputError(
             f"channel {channel.name} is in {unit!r} according to the file but in {channel.unit!r} according to the "
             f'card; correct the card: unit = "{canonical(unit, standard.unit if standard else None) or unit}"'
         )
     return channel.sign * to_si(column.values, channel.unit, channel.name, channel.si)
-
-
-def unit_in_file(channel: Channel, column: FileColumn, heading: Heading) -> str | None:
-    """The unit that a file states for a channel: in a row of units, an attribute, or its name ("rho (slug/ft3)"). What
-    a name seems to say counts only where the channel can have that unit: the "g" of "q_g" may be a gyro."""
-    if column.unit is not None:
-        return column.unit
-    for name in heading.names:
-        unit = split_heading(name, channel.unit)[1]
-        if unit is not None and same_kind(unit, channel.unit):
-            return unit
-    return None
 
 
 # --- Everything that a file holds, before any card says what it means.
@@ -225,7 +206,6 @@ class RawColumn:
 
     @property
     def place(self) -> str:
-        """How a person finds it in the file."""
         return f"column {self.number}" if self.label is None else repr(self.label)
 
 
@@ -238,57 +218,47 @@ class RawFile:
     remarks: tuple[str, ...] = ()
 
     def find(self, channel: Channel) -> RawColumn | None:
-        """The column that a card's channel names."""
-        there = HeadingIndex([column.heading for column in self.columns]).candidates(channel)
-        return next((column for column in self.columns if column.heading in there[:1]), None)
+        there = candidates(channel, [column.heading for column in self.columns])[:1]
+        return next((column for column in self.columns if column.heading in there), None)
 
 
 def read_raw(path: str | os.PathLike[str]) -> RawFile:
     """Every column of a file, numeric or not; raises `InputError` with the file's name."""
-    try:
+    with _named(path):
         file = segment_of(path).file
         opened = format_of(file)(bytes_of(file))
         headings = dict(enumerate(opened.headings[:MOST_COLUMNS], 1))
         often = Counter(name for h in headings.values() for name in h.names)
-        repeated = tuple(sorted(name for name, count in often.items() if count > 1))
+        repeated = {name for name, count in often.items() if count > 1}
         places = {
-            str(number): heading
-            for number, heading in headings.items()
-            if not set(heading.names) & set(repeated) and (heading.names or heading.column is not None)
+            str(k): heading
+            for k, heading in headings.items()
+            if not {*heading.names} & repeated and (heading.names or heading.column is not None)
         }
-        numbers = _numeric(opened, places)
-    except InputError as reason:
-        raise InputError(f"{os.fspath(path)}: {reason}") from reason
+        # All columns at once; where one is no numbers, each half on its own, so that only it is lost.
+        numbers, left, began = dict[str, FileColumn](), deque([list(places.items())]), time.monotonic()
+        failure = InputError("it holds no column of numbers; is it the right file?")
+        while left and time.monotonic() - began < PATIENCE:
+            some = left.popleft()
+            try:
+                numbers |= opened.read(dict(some))
+            except InputError as reason:
+                failure, half = reason, len(some) // 2
+                left.extend([some[:half], some[half:]] if half else [])
+        if not numbers:
+            raise failure from None
     columns = []
-    for number, heading in places.items():
-        column = numbers.get(number, FileColumn(np.empty(0)))
-        if number in numbers and not heading.names and not np.isfinite(column.values).any():
+    for place, heading in places.items():
+        values, unit = numbers.get(place, (None, None))
+        if values is not None and not heading.names and not np.isfinite(values).any():
             continue  # what follows a separator too many
-        at = heading.column if heading.column is not None else int(number)
+        at = heading.column if heading.column is not None else int(place)
         label = heading.names[0] if heading.names and not heading.formed else None
-        columns.append(RawColumn(label, at, column.values if number in numbers else None, column.unit, heading))
-    return RawFile(tuple(columns), repeated, tuple(opened.remarks))
+        columns.append(RawColumn(label, at, values, unit, heading))
+    return RawFile(tuple(columns), tuple(sorted(repeated)), tuple(opened.remarks))
 
 
-def _numeric(opened: OpenedFile, places: Mapping[str, Heading]) -> dict[str, FileColumn]:
-    """All columns at once; where one is no numbers, each half on its own, so that only it is lost, for `PATIENCE` s."""
-    numbers: dict[str, FileColumn] = {}
-    failure = InputError("it holds no column of numbers; is it the right file?")
-    left = deque([list(places.items())])
-    began = time.monotonic()
-    while left and time.monotonic() - began < PATIENCE:
-        some = left.popleft()
-        try:
-            numbers |= opened.read(dict(some))
-        except InputError as reason:
-            failure, half = reason, len(some) // 2
-            left.extend([some[:half], some[half:]] if half else [])
-    if not numbers:
-        raise failure from None
-    return numbers
-
-
-# --- Samples that a recorder wrote twice.
+# --- Samples that a recorder wrote twice; records brought to one sampling rate.
 
 
 def repeats(time: np.ndarray, channels: Iterable[np.ndarray]) -> Bool[np.ndarray, " n"]:
@@ -306,13 +276,9 @@ def without_repeats(record: FlightRecord) -> FlightRecord:
         return record
     count = int(again.sum())
     what = "1 sample repeats" if count == 1 else f"{count} samples repeat"
-    remark = (
-        f"{what} the one before in time and in every channel of the card, and {'is' if count == 1 else 'are'} left out"
-    )
+    remark = f"{what} the one before in time and in every channel of the card: left out"
     return replace(record.part(~again), remarks=(*record.remarks, remark))
 
-
-# --- Records brought to one sampling rate, at which filters that span samples span the seconds they were made for.
 
 RATE = 25.0  # samples a second; that of the records for which the smoothing filters were published
 SPARE = 1.25  # times that, up to which a record is taken as it is
@@ -332,13 +298,11 @@ def at_common_rate(records: Sequence[FlightRecord]) -> list[FlightRecord]:
 
 
 def rate_notes(records: Sequence[FlightRecord]) -> tuple[str, ...]:
-    """A sentence where records were brought to another rate; none where they were not."""
-    if not records:
-        return ()
-    dt = common_interval(records)
+    """A sentence where `at_common_rate` brings records to another rate; none where it does not."""
+    dt = common_interval(records) if records else 1.0
     odd = [f"{record.name} ({1.0 / record.dt:.4g} Hz)" for record in records if abs(record.dt - dt) > SAME * dt]
-    said = f"Brought to the common rate of {1.0 / dt:.4g} Hz, filtered against aliasing: {', '.join(odd)}."
-    return (said,) if odd else ()
+    note = f"Brought to the common rate of {1.0 / dt:.4g} Hz, filtered against aliasing: {', '.join(odd)}."
+    return (note,) if odd else ()
 
 
 # --- A look at a record through a card: what was taken from where, and everything that is wrong with it at once.
@@ -380,27 +344,26 @@ class RecordReport:
 def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float | None = None) -> RecordReport:
     """Read as `read_record` does, but report all that is wrong; only a file that cannot be read at all raises."""
     raw, segment = read_raw(path), segment_of(path)
-    problems: list[str] = [f"two columns are called {name!r}; rename all but the right one" for name in raw.repeated]
-    found, values = {channel: raw.find(channel) for channel in card.channels}, {}
-    for channel, column in found.items():
-        if column is not None and column.values is None:
-            problems.append(
-                f"channel {channel.name}: {column.place} holds something else than numbers; repair the file"
-            )
-        elif column is not None and column.values is not None:
-            try:
-                values[channel.name] = in_si(channel, FileColumn(column.values, column.unit), column.heading)
-            except InputError as reason:
-                problems.append(str(reason))
-    looked, record, inside, remarks = None, None, slice(None), raw.remarks
+    problems = [f"two columns are called {name!r}; rename all but the right one" for name in raw.repeated]
+    columns = {channel: column for channel in card.channels if (column := raw.find(channel)) is not None}
+    values: dict[str, np.ndarray] = {}
+    for channel, column in columns.items():
+        try:
+            if column.values is None:
+                place = f"channel {channel.name}: {column.place}"
+                raise InputError(f"{place} holds something else than numbers; repair the file")
+            values[channel.name] = in_si(channel, FileColumn(column.values, column.unit), column.heading)
+        except InputError as reason:
+            problems.append(str(reason))
+    whole, record, inside, remarks = None, None, np.s_[:], raw.remarks
     if "time" in values:
         same = {name: x for name, x in values.items() if len(x) == len(values["time"])}
-        looked = without_repeats(FlightRecord(Path(path).stem, values["time"], same, os.fspath(path), ""))
-        remarks += looked.remarks
+        whole = without_repeats(FlightRecord(Path(path).stem, values["time"], same, os.fspath(path), ""))
+        remarks += whole.remarks
         try:
-            inside = samples_of(looked.time, segment)
-            looked = cut(looked, segment)
-            kept = without_bad_options(looked, card.channels, blanks=resample is not None)
+            inside = samples_of(whole.time, segment)
+            whole = whole.part(inside)
+            kept = without_bad_options(whole, card.channels, blanks=resample is not None)
             problems += failures(kept, even=resample is None, channels=card.channels)
         except InputError as reason:
             problems.append(str(reason))
@@ -409,19 +372,17 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
     except InputError as reason:  # what is said of a column that no channel of the card was found in, too
         refused = str(reason).removeprefix(f"{os.fspath(path)}: ")
         problems += [refused] if refused not in problems else []
-    time = np.empty(0) if looked is None else looked.time
-    step = np.diff(time)
+    time = np.empty(0) if whole is None else whole.time
+    step, reports = np.diff(time), []
     median = float(np.median(step)) if len(step) else float("nan")
     gap = step > GAP * median
-    taken = {column.number for column in found.values() if column is not None}
-    reports = []
-    for channel, column in found.items():
-        if column is None or column.values is None or channel.name not in values:
-            continue
-        sound = column.values[inside][np.isfinite(column.values[inside])]
-        low, high = (float(sound.min()), float(sound.max())) if len(sound) else (float("nan"), float("nan"))
-        where = channel.name, column.place, channel.unit, channel.si, channel.sign
-        reports.append(ChannelReport(*where, low, high, low < high))
+    for channel, column in columns.items():
+        if channel.name in values and column.values is not None:
+            sound = column.values[inside][np.isfinite(column.values[inside])]
+            low, high = (float(sound.min()), float(sound.max())) if len(sound) else (float("nan"), float("nan"))
+            where = channel.name, column.place, channel.unit, channel.si, channel.sign
+            reports.append(ChannelReport(*where, low, high, low < high))
+    parts = segment.whole and np.isfinite(time).all()
     return RecordReport(
         path=os.fspath(path),
         samples=len(time),
@@ -430,88 +391,299 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
         gaps=int(np.sum(gap)),
         uneven=int(np.sum((np.abs(step - median) > JITTER * median) & ~gap)),
         channels=tuple(reports),
-        missing=tuple(channel.name for channel, column in found.items() if column is None and not channel.required),
-        unused=tuple(column.place for column in raw.columns if column.number not in taken),
+        missing=tuple(c.name for c in card.channels if c not in columns and not c.required),
+        unused=tuple(c.place for c in raw.columns if c.number not in {used.number for used in columns.values()}),
         problems=tuple(problems),
         record=None if problems else record,
-        proposals=proposals(looked, card) if looked is not None and segment.whole and np.isfinite(time).all() else (),
+        proposals=proposals(whole, card) if whole is not None and parts else (),
         remarks=remarks,
     )
 
 
-# --- The parts of a file that are worth a record of their own: those in flight, and the manoeuvres in them.
+# --- What a record must satisfy before anything is computed from it; each failure is reported with its remedy.
 
-WINDOW = 2.0  # s over which a control or a rate must move
-PAUSE = 4.0  # s of rest that divide two manoeuvres
-LEAD = 2.0  # s kept before and after
-BRIEFEST = 3.0  # s of movement that make a manoeuvre
-ABOVE = 4.0  # times the quiet tenth of the record
-MOST_OF_A_PART = 0.8  # of a part; a manoeuvre that fills more of it is the part
-MOVES = {
-    "p": np.deg2rad(1.0), "q": np.deg2rad(0.5), "r": np.deg2rad(0.5),
-    "elevator": np.deg2rad(0.3), "aileron_left": np.deg2rad(0.5), "aileron_right": np.deg2rad(0.5),
-    "aileron": np.deg2rad(0.5), "rudder": np.deg2rad(0.5),
-}  # fmt: skip
-"""Standard deviation over `WINDOW`, rad/s or rad, below which nothing was flown whatever the record's noise."""
+MIN_SAMPLES = 50  # the derivative filter alone spans 17 samples and changes its form over the 9 next to either end
+JITTER = 0.01  # largest departure of a step from the median step, relative, that still passes for even sampling
+RATES = (1e-4, 2.0)  # bounds of the sampling interval, s, outside which the unit of time must be wrong
+Mapped = Mapping[str, Channel]  # the card's channels by name
 
 
-@dataclass(frozen=True)
-class Proposal:
-    """A part of a file as it is written behind "@", what it is, and its first and last time in s."""
-
-    part: str
-    what: str
-    begin: float
-    end: float
+def check_record(record: FlightRecord, *, even: bool = True, channels: Channels = ()) -> None:
+    """Raise InputError, with channel, sample and remedy, for the first fault; `even=False`: it is to be resampled."""
+    for reason in failures(record, even=even, channels=channels):
+        raise InputError(reason)
 
 
-def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
-    """Parts to analyse in place of a whole file; none where the file is one flight that is one manoeuvre. The record is
-    the whole file, in SI, unchecked: time may have gaps or start over. The card tells flight from ground."""
-    parts = [(a, b) for a, b in parts_of(record.time) if b - a >= SHORTEST]
-    forward = bool((np.diff(record.time) > 0.0).all())
-    flown: list[tuple[int, int]] = []
-    for a, b in parts:
-        part = record.part(slice(a, b))
-        if part.has("airspeed") and not np.isfinite(part["airspeed"]).all():
-            flown.append((a, b))
+def check_arrays(record: FlightRecord, channels: Channels) -> None:
+    """Raise InputError if a record made in memory is too short, lacks numbers, or its time does not increase."""
+    used = {c.name: record[c.name] for c in channels if c.required and c.name in record.channels}
+    for reason in _unusable(replace(record, channels=used), True):
+        raise InputError(f"record {record.name}: {reason}")
+
+
+def failures(record: FlightRecord, *, even: bool = True, channels: Channels = ()) -> Iterator[str]:
+    """Everything that is wrong with a record, one sentence each; `check_record` raises the first."""
+    card = {channel.name: channel for channel in channels}
+    yield from _unusable(record, even)
+    if record.n < MIN_SAMPLES or not np.isfinite(record.time).all():
+        return
+    for name in (name for name in record.names if name in STANDARD_CHANNELS):
+        if why := implausible(record, STANDARD_CHANNELS[name], card.get(name)):
+            yield why
+            break
+    if (np.diff(record.time) > 0.0).all():  # what follows needs it
+        yield from _of_sampling(record, card.get("time"), even)
+        yield from _of_values(record, card)
+
+
+def _unusable(record: FlightRecord, even: bool) -> Iterator[str]:
+    """Too few samples; samples that are no numbers; time that does not increase. Missing samples that are about to be
+    interpolated pass; those of time do not, nor infinities."""
+    if record.n < MIN_SAMPLES:
+        yield f"the record has {record.n} samples; at least {MIN_SAMPLES} are needed: use a longer record"
+        return
+    for name in record.names:
+        bad, missing = ~np.isfinite(record[name]), np.isnan(record[name])
+        bridged = not even and name != "time" and not np.isinf(record[name]).any() and not missing.all()
+        if not bad.any() or bridged:
             continue
-        edges = [0, *(i for first, last in grounded(part, card) for i in (first, last + 1)), part.n]
-        pairs = zip(edges[::2], edges[1::2], strict=True)
-        flown += [(a + first, a + after) for first, after in pairs if after - first >= SHORTEST]
-    found = []
-    if flown != [(0, record.n)]:
-        found += [_proposal(record, a, b, "in flight", forward) for a, b in flown]
-    if forward:
-        for a, b in flown:
-            moved = _manoeuvres(record.part(slice(a, b)), a)
-            if len(moved) > 1 or (moved and moved[0][1] - moved[0][0] < MOST_OF_A_PART * (b - a)):
-                found += [_proposal(record, i, j, "manoeuvre", forward) for i, j in moved]
-    return tuple(found)
+        first = int(np.argmax(bad))
+        what = "empty or not a number (NaN)" if missing[first] else "infinite"
+        where = f"sample {first} (counted from 0)" if name == "time" else at(record, first)
+        yield (
+            f"channel {name} is {what} at {where}, {int(bad.sum())} of {record.n} samples in all; repair or cut out "
+            f"these samples, ask for resampling if they are few or the file is of several rates (--resample "
+            f"{_sampling_step(record):.4g}), or take the channel off the card if it is not needed"
+        )
+        break
+    back = np.diff(record.time) <= 0.0
+    if back.any():
+        i = int(np.argmax(back)) + 1
+        what = "repeats" if record.time[i] == record.time[i - 1] else "runs backwards from"
+        yield (
+            f"channel time {what} {instant(record.time[i - 1])} s at {at(record, i)}, {int(back.sum())} times in all; "
+            "time must increase: sort the samples, drop the repeated ones, write rounded stamps with more digits, or "
+            "divide the record where time starts over (--split)"
+        )
 
 
-def _manoeuvres(part: FlightRecord, offset: int) -> list[tuple[int, int]]:
-    """Where controls or rates move, with some seconds before and after."""
-    size = max(round(WINDOW / part.dt), 3)
-    moving = np.zeros(part.n, bool)
-    for name, least in MOVES.items():
-        if not part.has(name) or not np.isfinite(part[name]).all():
+def _sampling_step(record: FlightRecord) -> float:
+    """Median step of the channel that has most samples, s: time alone holds the stamps of all rates of a file."""
+    there = [np.isfinite(values) for values in record.channels.values()]
+    fullest = max(there, key=np.count_nonzero, default=np.ones(record.n, bool))
+    return float(np.median(np.diff(record.time[fullest]))) if np.count_nonzero(fullest) > 1 else float("nan")
+
+
+def _of_sampling(record: FlightRecord, channel: Channel | None, even: bool) -> Iterator[str]:
+    """A rate that no flight is recorded at; gaps and uneven steps, unless it is about to be resampled."""
+    fullest, stated = _sampling_step(record), "s" if channel is None else channel.unit
+    if not RATES[0] <= fullest <= RATES[1]:  # the unit in which steps would be those of a flight
+        hint = f"no unit of time explains that ({stated} on the card): correct its column on the card"
+        scale = next((size for unit, size in TIMES.items() if same_unit(unit, stated)), 1.0)
+        fit = [unit for unit, size in TIMES.items() if RECORDED[0] <= fullest / scale * size <= RECORDED[1]]
+        for unit in [unit for unit in fit if not same_unit(unit, stated)][:1]:
+            hint = f'looks like {unit}, where the card says {stated}: set unit = "{unit}" for time on the card'
+        bounds = f"outside {RATES[0]:g} to {RATES[1]:g} s"
+        yield f"channel time has a median step of {fullest:.6g} s from {at(record, 0)}, {bounds}; {hint}"
+    step = np.diff(record.time)
+    median = float(np.median(step))
+    gaps, off = step > GAP * median, np.abs(step - median) > JITTER * median
+    if even and gaps.any():
+        i = int(np.argmax(gaps))
+        yield (
+            f"channel time has a gap of {step[i]:.6g} s after {at(record, i)}, where {median:.6g} s is usual; divide "
+            "the record there (--split, or FILE@FROM:TO), or ask for resampling if the gap is short"
+        )
+    elif even and off.any():
+        i = int(np.argmax(off))
+        yield (
+            f"channel time is sampled unevenly: the step after {at(record, i)} is {step[i]:.6g} s, not {median:.6g}"
+            f" s; write time with more digits, or ask for resampling (--resample {float(np.mean(step)):.4g})"
+        )
+
+
+def _of_values(record: FlightRecord, card: Mapped) -> Iterator[str]:
+    """Speeds and densities not above zero, accelerations in multiples of gravity, an angle of attack that rests."""
+    for name in ("airspeed", "density"):
+        bad = record[name] <= 0.0 if record.has(name) else np.zeros(1, bool)
+        if bad.any():
+            i = int(np.argmax(bad))
+            unit, count = STANDARD_CHANNELS[name].unit, int(bad.sum())
+            yield (
+                f"channel {name} is {record[name][i]:.6g} {unit} at {at(record, i)}, {count} samples not above zero: "
+                "cut the record to the part in flight, or repair the channel"
+            )
+            break
+    if all(map(record.has, ("ax", "ay", "az"))) and not ("az" in card and same_unit(card["az"].unit, "g")):
+        load = float(np.median(np.sqrt(record["ax"] ** 2 + record["ay"] ** 2 + record["az"] ** 2)))
+        if 0.7 < load < 1.4:  # near 9.8 in m/s2; only a record flown at a tenth of gravity throughout is so
+            i = int(np.argmax(np.abs(record["az"])))
+            yield (
+                f"channels ax, ay, az have a median magnitude of {number(load)} m/s^2 (az is {number(record['az'][i])} "
+                f'at {at(record, i)}); looks like multiples of gravity: set unit = "g" for them on the card'
+            )
+    if record.has("alpha") and float(np.ptp(record["alpha"])) < 1e-6:
+        yield (
+            f"channel alpha stays at {record['alpha'][0]:.6g} rad from {at(record, 0)} to {at(record, record.n - 1)}; "
+            "nothing can be identified from a constant angle of attack: check the sensor and the card's column or label"
+        )
+
+
+# --- Values that no sound record has, and the units that would explain them; the card's own is never advised.
+
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
+RECORDED = (0.002, 0.5)  # s between samples of a flight that is worth a look
+NEARLY_ALL = 0.99
+
+
+def implausible(record: FlightRecord, standard: StandardChannel, channel: Channel | None) -> str | None:
+    """What is wrong with values outside the channel's bounds, in one sentence; None if none is outside."""
+    x, (lo, hi) = record[standard.name], standard.plausible
+    outside = (x < lo) | (x > hi)
+    if not outside.any():
+        return None
+    channel = channel or Channel(standard.name, standard.unit)
+    count, i = int(outside.sum()), int(np.argmax(outside))
+    if lo == 0.0 and (x < lo).any():  # airspeed and density not above zero: another check reports these
+        return None
+    in_file = f" ({float(channel.filed(x[i])):.6g} {channel.unit} in the file)"
+    as_filed = in_file if channel.unit != standard.unit else ""
+    return (
+        f"channel {standard.name} is {x[i]:.6g} {standard.unit}{as_filed} at {at(record, i)}, outside {lo:g} to {hi:g} "
+        f"{standard.unit}, {count} of {record.n} samples in all; {_unit_hint(x, standard, channel.unit)}"
+    )
+
+
+def at(record: FlightRecord, index: int | np.integer) -> str:
+    return f"sample {int(index)} (counted from 0; t = {instant(record.time[index])} s)"
+
+
+def _unit_hint(x: np.ndarray, standard: StandardChannel, stated: str) -> str:
+    """Units that would make nearly all values plausible, less the one `stated` on the card."""
+    filed, (lo, hi) = from_si(x, stated, standard.name, standard.unit), standard.plausible
+
+    def fits(values: np.ndarray) -> bool:
+        return bool(np.mean((values >= lo) & (values <= hi)) >= NEARLY_ALL)
+
+    others = (unit for unit in unit_choices(standard.name) if same_unit(unit, stated) is False)
+    units = [unit for unit in others if fits(to_si(filed, unit, standard.name, standard.unit))][:2]
+    if fits(x) or not units:
+        return "no other unit explains that (a fill value?): cut out these samples, or correct its column on the card"
+    entries = " or ".join(f'unit = "{unit}"' for unit in units)
+    return f"looks like {' or '.join(units)}: set {entries} for it on the card"
+
+
+def without_bad_options(record: FlightRecord, channels: Channels, *, blanks: bool = False) -> FlightRecord:
+    """The record without optional channels that are not finite (`blanks` pass) or not plausible; it remembers why."""
+    dropped = {}
+    for channel in channels:
+        if channel.required or channel.name not in record.channels:
             continue
-        mean = uniform_filter1d(part[name], size)
-        spread = np.sqrt(np.maximum(uniform_filter1d((part[name] - mean) ** 2, size), 0.0))
-        moving |= spread > max(least, ABOVE * float(np.quantile(spread, 0.1)))
-    pause, lead = max(round(PAUSE / part.dt), 1), max(round(LEAD / part.dt), 1)
-    moving = binary_closing(np.pad(moving, pause), np.ones(pause))[pause:-pause]
-    runs = [(a, b) for a, b in runs_of(moving) if (b - a) * part.dt >= BRIEFEST]
-    kept = np.zeros(part.n, bool)
-    for a, b in runs:
-        kept[a : b + 1] = True
-    kept = binary_dilation(kept, np.ones(2 * lead + 1))
-    return [(offset + a, offset + b + 1) for a, b in runs_of(kept) if b + 1 - a >= SHORTEST]
+        bad, standard = ~np.isfinite(record[channel.name]), STANDARD_CHANNELS.get(channel.name)
+        if bad.any() and not (blanks and bad.mean() < 1.0):
+            first = at(record, int(np.argmax(bad)))
+            count = f"{int(bad.sum())} of {record.n} samples"
+            dropped[channel.name] = f"channel {channel.name} is not a number at {count}, the first at {first}"
+        elif standard is not None and (why := implausible(record, standard, channel)) is not None:
+            dropped[channel.name] = why
+    kept = {name: x for name, x in record.channels.items() if name not in dropped}
+    return replace(record, channels=kept, dropped={**record.dropped, **dropped}) if dropped else record
 
 
-def _proposal(record: FlightRecord, a: int, b: int, what: str, forward: bool) -> Proposal:
-    begin, end = float(record.time[a]), float(record.time[b - 1])
-    number = next((k for k, part in enumerate(parts_of(record.time), 1) if part == (a, b)), None)
-    spec = f"{instant(begin)}:{instant(end)}" if forward or number is None else f"#{number}"
-    return Proposal(spec, what, begin, end)
+# --- Interpolation of a record of uneven or of several rates onto an even grid, done only when asked for.
+
+MAX_GAP = 5.0  # longest step, in median steps, that is bridged; beyond it interpolation would invent flight data
+MAX_SAMPLES = 5_000_000
+SHOWN = 4  # parts in a sentence
+_WRAPPED = ("phi", "psi", "longitude")  # angles that jump by a full turn in files
+_STEPWISE = ("gear",)
+
+
+def resample_record(record: FlightRecord, dt: float) -> FlightRecord:
+    """The record on an even grid: cubic splines, low-pass filtered where `dt` is coarser; no gap is bridged."""
+    if not (math.isfinite(dt) and dt > 0.0):
+        raise InputError(f"record {record.name}: cannot resample to an interval of {dt!r} s; give a positive number")
+    knots = {name: _sampled_at(name, values) for name, values in record.channels.items()}
+    steps = [_bridged(record.name, n, record.time[own]) for n, own in knots.items() if len(own) < record.n]
+    if len(steps) < len(knots) or not knots:  # time belongs to the channels that have all samples
+        steps.append(_bridged(record.name, "time", record.time))
+    median = min(steps)
+    begin = float(max((record.time[own[0]] for own in knots.values()), default=record.time[0]))
+    ends = [record.time[own[-1]] for name, own in knots.items() if np.isnan(record[name]).any()]
+    end = float(min([*ends, record.time[-1]]))
+    # A coarse grid is reached through a fine one about as dense as the record: interpolate, filter, thin out.
+    factor = max(1, math.ceil(dt / median - 1e-6)) if dt > 1.001 * median else 1
+    fine, duration = dt / factor, end - begin
+    if duration / fine > MAX_SAMPLES:
+        raise InputError(
+            f"record {record.name}: resampling {duration:.6g} s to {dt:g} s makes more than {MAX_SAMPLES} samples; "
+            f"give a longer interval (the median step is {median:.6g} s)"
+        )
+    elapsed = np.arange(math.floor(duration / fine * (1.0 + 1e-12) + 1e-9) + 1) * fine
+    time = np.minimum(begin + elapsed, end)
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name, own in knots.items():
+        if len(own) < record.n:
+            how = "missing samples" if np.isnan(record[name]).any() else "held samples"
+            rate = f"{1.0 / float(np.median(np.diff(record.time[own]))):.4g}"
+            groups.setdefault((how, rate), []).append(name)
+    remarks = [
+        f"resampled: {how} of {', '.join(names)} ({rate} Hz in a file of {1.0 / median:.4g} Hz) are replaced by a "
+        f"cubic spline through the channel's own samples, at {1.0 / dt:.4g} Hz"
+        for (how, rate), names in groups.items()
+    ] or [f"resampled by cubic splines from {1.0 / median:.4g} Hz to {1.0 / dt:.4g} Hz"]
+    return replace(
+        record, time=begin + elapsed[::factor],
+        channels={key: _onto(record, key, knots[key], time, factor) for key in record.channels},
+        source=f"{record.source}, resampled to {dt:g} s", remarks=(*record.remarks, *remarks),
+        read={**record.read, "resample": dt} if record.read else {},
+    )  # fmt: skip
+
+
+def _bridged(record: str, name: str, time: np.ndarray) -> float:
+    """The median step, s; refused where a step is too long to interpolate across."""
+    step = np.diff(time)
+    if len(step) < 3:
+        raise InputError(f"record {record}: channel {name} has {len(time)} samples, too few to interpolate between")
+    median = float(np.median(step))
+    long = np.flatnonzero(step > MAX_GAP * median)
+    if len(long):
+        i, mend = int(long[0]), "cut the record there into two (--split, or FILE@FROM:TO)"
+        if name != "time":
+            begin, end = ["", *map(instant, time[long + 1])], [*map(instant, time[long]), ""]
+            parts = [f"FILE@{a}:{b}" for a, b in zip(begin, end, strict=True)]
+            mend = f"give {' '.join(parts[:SHOWN])}{' ...' if len(parts) > SHOWN else ''} instead of the file"
+        raise InputError(
+            f"record {record}: channel {name} has a gap of {step[i]:.6g} s after t = {instant(time[i])} s, longer than "
+            f"the {MAX_GAP:g} median steps ({MAX_GAP * median:.4g} s) that resampling bridges; {mend}"
+        )
+    return median
+
+
+def _sampled_at(name: str, values: np.ndarray) -> np.ndarray:
+    """Where a channel was truly sampled: not where it is missing, nor where a slower sensor's value is only held."""
+    there = np.flatnonzero(np.isfinite(values))
+    period = 0.0 if name in _STEPWISE or len(there) < len(values) else held_period(values)
+    if not period:
+        return there
+    changes = np.flatnonzero(np.diff(values)) + 1
+    lengths = np.diff(np.r_[changes, len(values)])
+    pieces = np.maximum(np.round(lengths / period), 1).astype(int)  # a true value may repeat
+    parts = zip(changes, lengths, pieces, strict=True)
+    return np.concatenate([begin + np.round(np.arange(k) * n / k).astype(int) for begin, n, k in parts])
+
+
+def _onto(record: FlightRecord, name: str, own: np.ndarray, time: np.ndarray, factor: int) -> np.ndarray:
+    values, sampled = record.channels[name][own], record.time[own]
+    if name in _STEPWISE:
+        return values[np.maximum(np.searchsorted(sampled, time, side="right") - 1, 0)][::factor]
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import resample_poly
+
+    if name in _WRAPPED:  # interpolating across the jump would sweep through the whole circle
+        values = np.unwrap(values)
+    with np.errstate(all="ignore"):  # numbers near the largest double overflow; the check afterwards tells it
+        # A held value stands until the end: no spline is followed beyond the last sample.
+        values = CubicSpline(sampled, values)(np.minimum(time, sampled[-1]))
+        # "line": the filter sees the record go on along its trend, not fall to zero, at both ends.
+        return values if factor == 1 else resample_poly(values, 1, factor, padtype="line")

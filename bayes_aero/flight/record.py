@@ -20,7 +20,6 @@ import numpy as np
 
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card_tables import is_file
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.physics.aircraft import GRAVITY
 from bayes_aero.units import instant
@@ -134,9 +133,7 @@ class FlightRecord:
         close = get_close_matches(channel, self.channels, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
         mapped = ", ".join(self.names)
-        raise InputError(
-            f"record {self.name} has no channel {channel}{hint}; the card maps these: {mapped}; add it to [channels]"
-        )
+        raise InputError(f"record {self.name} has no channel {channel}{hint}; the card maps {mapped}; add it there")
 
     def window(self, t0: float, t1: float) -> FlightRecord:
         """The samples with t0 <= time <= t1 (s), as a new record with the same source.
@@ -147,10 +144,8 @@ class FlightRecord:
         slack = 1e-6 * self.dt  # 0.04 * 25 is not 1 in binary
         keep = (self.time >= t0 - slack) & (self.time <= t1 + slack)
         if not keep.any():
-            raise InputError(
-                f"record {self.name} has no sample between {instant(t0)} and {instant(t1)} s; "
-                f"it runs from {instant(self.time[0])} to {instant(self.time[-1])} s"
-            )
+            runs = f"it runs from {instant(self.time[0])} to {instant(self.time[-1])} s"
+            raise InputError(f"record {self.name} has no sample between {instant(t0)} and {instant(t1)} s; {runs}")
         read = {**self.read, "windows": [*self.read["windows"], [float(t0), float(t1)]]} if self.read else {}
         name, source = f"{self.name}_{instant(t0)}-{instant(t1)}s", f"{self.source}, {instant(t0)} s to {instant(t1)} s"
         return replace(self.part(keep), name=name, source=source, read=read)
@@ -207,28 +202,31 @@ _SPAN = re.compile(rf"(?P<file>.+)@(?:(?P<begin>{_NUMBER})?:(?P<end>{_NUMBER})?|
 
 @dataclass(frozen=True)
 class Segment:
-    """A file, and the part of it that is meant."""
+    """A file, and the part of it that is meant: between times, s, or a number between gaps, counted from 1."""
 
     file: Path  # without the part
-    begin: float | None = None  # first time, s; None from the beginning
-    end: float | None = None  # last time, s; None to the end
-    part: int | None = None  # number of the part between gaps, counted from 1, instead of times
+    begin: float = -np.inf
+    end: float = np.inf
+    part: int = 0
     words: str = ""  # the part as it was written behind "@"; empty for the whole file
 
     @property
     def whole(self) -> bool:
-        """Whether all of the file is meant."""
-        return self.begin is None and self.end is None and self.part is None
+        return not self.words or self.words == ":"
 
     @property
     def label(self) -> str:
-        """A name for the record: the file's stem, and the part."""
-        if self.whole:
-            return self.file.stem
-        if self.part is not None:
-            return f"{self.file.stem}_part{self.part}"
-        begin, end = ("" if limit is None else instant(limit) for limit in (self.begin, self.end))
-        return f"{self.file.stem}_{begin}-{end}"
+        begin, end = (instant(limit) if np.isfinite(limit) else "" for limit in (self.begin, self.end))
+        part = f"_part{self.part}" if self.part else f"_{begin}-{end}"
+        return self.file.stem + ("" if self.whole else part)
+
+
+def is_file(path: Path) -> bool:
+    """Whether it is a file; a name that no file can have (too long, with NUL) is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def segment_of(path: str | os.PathLike[str]) -> Segment:
@@ -237,44 +235,28 @@ def segment_of(path: str | os.PathLike[str]) -> Segment:
     match = _SPAN.fullmatch(text)
     if match is None or is_file(Path(text)):
         return Segment(Path(text))
-    begin, end = (None if match[key] is None else float(match[key]) for key in ("begin", "end"))
-    if begin is not None and end is not None and not begin < end:
-        raise InputError(
-            f"{text}: the part from {instant(begin)} to {instant(end)} s holds nothing; write FILE@FROM:TO, "
-            "FROM before TO"
-        )
-    part, words = match["part"], text[len(match["file"]) + 1 :]
-    return Segment(Path(match["file"]), begin, end, None if part is None else int(part), words)
-
-
-def cut(record: FlightRecord, segment: Segment) -> FlightRecord:
-    """The part of a record, with the file's own time; raises as `samples_of`."""
-    return record if segment.whole else record.part(samples_of(record.time, segment))
+    begin, end = float(match["begin"] or -np.inf), float(match["end"] or np.inf)
+    if not begin < end:
+        raise InputError(f"{text}: the part {match['begin']}:{match['end']} holds nothing; write FROM before TO")
+    return Segment(Path(match["file"]), begin, end, int(match["part"] or 0), text[len(match["file"]) + 1 :])
 
 
 def samples_of(time: np.ndarray, segment: Segment) -> slice:
     """Which samples of a file with (n,) time in s a part has. Raises InputError: the file has no sample there."""
     if segment.whole:
         return slice(None)
-    if segment.part is not None:
-        parts = parts_of(time)
+    parts = parts_of(time)
+    if segment.words.startswith("#"):
         if not 1 <= segment.part <= len(parts):
             raise InputError(f"there is no part {segment.part}: gaps in time divide it into {len(parts)}")
         return slice(*parts[segment.part - 1])
     if (np.diff(time) <= 0.0).any():
-        raise InputError(
-            "its time starts over or repeats, so that seconds do not tell a part; name parts by number (FILE@#1, "
-            "FILE@#2, or --split)"
-        )
-    begin = -np.inf if segment.begin is None else segment.begin
-    end = np.inf if segment.end is None else segment.end
+        raise InputError("its time starts over or repeats; name parts by number (FILE@#1, FILE@#2, or --split)")
     slack = 1e-6 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0  # times that were typed are rounded
-    inside = np.flatnonzero((time >= begin - slack) & (time <= end + slack))
+    inside = np.flatnonzero((time >= segment.begin - slack) & (time <= segment.end + slack))
     if not len(inside):
-        raise InputError(
-            f"no sample lies in the part from {instant(begin)} to {instant(end)} s: its time goes "
-            f"from {instant(time[0])} to {instant(time[-1])} s; correct the part"
-        )
+        runs = f"its time goes from {instant(time[0])} to {instant(time[-1])} s"
+        raise InputError(f"no sample lies in the part {segment.words} (s): {runs}; correct the part")
     return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
@@ -293,27 +275,7 @@ def parts_of(time: np.ndarray) -> list[tuple[int, int]]:
     return list(pairwise(edges))
 
 
-def expanded(
-    paths: Sequence[str | os.PathLike[str]], stated: Mapping[str, Sequence[str]], times: Mapping[str, np.ndarray] | None
-) -> list[Path]:
-    """The manoeuvres that records stand for: what a card has `stated` of a file of that name, else its parts between
-    gaps, if `times` has the (n,) time in s of each whole file by its path. A path with a part stands for that alone."""
-    segments: list[Path] = []
-    for path in paths:
-        text = os.fspath(path)
-        segment = segment_of(text)
-        named = stated.get(segment.file.name, ()) if segment.whole else ()
-        if not named and segment.whole and times is not None and len(parts := parts_of(times[text])) > 1:
-            time, forward = times[text], bool((np.diff(times[text]) > 0.0).all())
-            long = [(k, a, b) for k, (a, b) in enumerate(parts, 1) if b - a >= SHORTEST]
-            named = [f"{time[a]:.15g}:{time[b - 1]:.15g}" if forward else f"#{k}" for k, a, b in long]
-            segments += [Path(f"{text}@{part}") for part in named]
-        else:
-            segments += [Path(f"{text}@{part}") for part in named] or [Path(text)]
-    return segments
-
-
-# --- Write flight records to files that `readers.read_record` reads.
+# --- Write flight records to files that `reading.read_record` reads.
 
 Columns = list[tuple[Channel, np.ndarray]]  # channels to write, each with its (n,) values in the file's unit
 
@@ -334,67 +296,54 @@ def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: S
     if writer is None:
         raise InputError(f"{target}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")
     written = [channel for channel in channels if record.has(channel.name) or channel.required]
-    columns = [(channel, channel.filed(record[channel.name])) for channel in written]
+    columns, buffer = [(channel, channel.filed(record[channel.name])) for channel in written], io.BytesIO()
     try:
-        write_whole(writer(columns), target)
+        writer(columns, buffer)
+        write_whole(buffer.getvalue(), target)
     except InputError as reason:
         raise InputError(f"{target}: {reason}") from reason
     except OSError as reason:
-        raise InputError(
-            f"{target}: it cannot be written ({reason.strerror}); check the folder and its permissions"
-        ) from reason
+        raise InputError(f"{target}: it cannot be written ({reason.strerror}); check its permissions") from reason
 
 
-def _asc(columns: Columns) -> bytes:
+def _asc(columns: Columns, file: io.BytesIO) -> None:
     """Columns where the card puts them; zeros in the columns that it does not map."""
-    for channel, _ in columns:
-        if channel.column is None:
-            raise InputError(f"channel {channel.name} has no column number; add column = N to the card, or write .csv")
     table = np.zeros((columns[0][1].size, max(channel.column or 0 for channel, _ in columns)))
     for channel, values in columns:
-        table[:, (channel.column or 1) - 1] = values
-    return _rows(table, " ")
+        if channel.column is None:
+            raise InputError(f"channel {channel.name} has no column number; add column = N to the card, or write .csv")
+        table[:, channel.column - 1] = values
+    np.savetxt(file, table, fmt="%.17g")  # 17 digits bring back every double exactly
 
 
-def _csv(columns: Columns) -> bytes:
+def _csv(columns: Columns, file: io.BytesIO) -> None:
     import csv
 
     header = io.StringIO()
     csv.writer(header, lineterminator="\n").writerow([channel.heading for channel, _ in columns])
-    return header.getvalue().encode() + _rows(np.column_stack([values for _, values in columns]), ",")
+    file.write(header.getvalue().encode())
+    np.savetxt(file, np.column_stack([values for _, values in columns]), fmt="%.17g", delimiter=",")
 
 
-def _rows(table: np.ndarray, separator: str) -> bytes:
-    buffer = io.BytesIO()
-    np.savetxt(buffer, table, fmt="%.17g", delimiter=separator)  # 17 digits bring back every double exactly
-    return buffer.getvalue()
-
-
-def _mat(columns: Columns) -> bytes:
+def _mat(columns: Columns, file: io.BytesIO) -> None:
     from scipy.io import savemat
 
     for channel, _ in columns:
         if re.fullmatch(r"[A-Za-z]\w{0,62}", channel.heading, re.ASCII) is None:
-            raise InputError(
-                f"channel {channel.name}: {channel.heading!r} cannot be a MATLAB name; give it a label of letters, "
-                "digits and underscores"
-            )
-    buffer = io.BytesIO()
-    savemat(buffer, {channel.heading: values[:, None] for channel, values in columns}, do_compression=True)
-    return buffer.getvalue()
+            why = "is no MATLAB name; give it a label of letters, digits and underscores"
+            raise InputError(f"channel {channel.name}: {channel.heading!r} {why}")
+    savemat(file, {channel.heading: values[:, None] for channel, values in columns}, do_compression=True)
 
 
-def _parquet(columns: Columns) -> bytes:
+def _parquet(columns: Columns, file: io.BytesIO) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     fields = [pa.field(channel.heading, pa.float64(), metadata={"units": channel.unit}) for channel, _ in columns]
-    buffer = io.BytesIO()
-    pq.write_table(pa.table([values for _, values in columns], schema=pa.schema(fields)), buffer)
-    return buffer.getvalue()
+    pq.write_table(pa.table([values for _, values in columns], schema=pa.schema(fields)), file)
 
 
-def _netcdf(columns: Columns) -> bytes:
+def _netcdf(columns: Columns, file: io.BytesIO) -> None:
     import xarray as xr
 
     variables = {}
@@ -402,9 +351,9 @@ def _netcdf(columns: Columns) -> bytes:
         standard = STANDARD_CHANNELS.get(channel.name)
         about = {"units": channel.unit} | ({"long_name": standard.description} if standard else {})
         variables[channel.heading] = ("sample", values, about)
-    return bytes(xr.Dataset(variables).to_netcdf(engine="h5netcdf"))
+    file.write(xr.Dataset(variables).to_netcdf(engine="h5netcdf"))
 
 
-WRITERS: Mapping[str, Callable[[Columns], bytes]] = {
+WRITERS: dict[str, Callable[[Columns, io.BytesIO], None]] = {
     **dict.fromkeys((".asc", ".txt", ".dat"), _asc), ".csv": _csv, ".mat": _mat, ".parquet": _parquet, ".nc": _netcdf,
 }  # fmt: skip

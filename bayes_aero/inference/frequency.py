@@ -21,8 +21,7 @@ from scipy.signal import csd
 from bayes_aero.dynamics.flight import Dynamics, LinearDynamics, unbiased
 from bayes_aero.dynamics.system import LinearSystem
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import Card
-from bayes_aero.flight.card_tables import ONE
+from bayes_aero.flight.card import ONE, Card
 from bayes_aero.flight.health import noise_of
 from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord

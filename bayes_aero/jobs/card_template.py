@@ -12,12 +12,10 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.errors import DefectError, InputError
-from bayes_aero.flight.card import parse_card
-from bayes_aero.flight.card_tables import ATMOSPHERE, RULES, UNFILLED, parse_table
+from bayes_aero.flight.card import ATMOSPHERE, RULES, UNFILLED, parse_card, parse_table
 from bayes_aero.flight.channel import STANDARD_CHANNELS, split_heading
-from bayes_aero.flight.checks import MIN_SAMPLES
 from bayes_aero.flight.health import noise_of, quantum
-from bayes_aero.flight.reading import RawColumn, read_raw, repeats
+from bayes_aero.flight.reading import MIN_SAMPLES, RawColumn, read_raw, repeats
 from bayes_aero.flight.record import parts_of
 from bayes_aero.jobs.column_inference import Guess, guessed
 from bayes_aero.jobs.store import picked, provenance, sha256_of

@@ -23,8 +23,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Draws, Identified, about, validity, version, wrapped
 from bayes_aero.export.simulators import PROPERTIES, jsbsim_files, write_fmu
 from bayes_aero.export.tables import write_tables
-from bayes_aero.flight.card import Card, read_card, shipped_cards
-from bayes_aero.flight.card_tables import LinearCard
+from bayes_aero.flight.card import Card, LinearCard, read_card, shipped_cards
 from bayes_aero.flight.reading import read_again
 from bayes_aero.flight.record import FlightRecord, segment_of
 from bayes_aero.jobs.options import MOST_DRAWS

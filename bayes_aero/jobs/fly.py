@@ -28,10 +28,9 @@ from bayes_aero.dynamics.flight import (
 )
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card, channel_units
-from bayes_aero.flight.card_tables import is_file
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import only_following
-from bayes_aero.flight.record import FlightRecord, write_record
+from bayes_aero.flight.record import FlightRecord, is_file, write_record
 from bayes_aero.inference.frequency import linear_in_band
 from bayes_aero.inference.mle import fit_mle, without_noise_bias
 from bayes_aero.inference.prediction_error import ENGINES

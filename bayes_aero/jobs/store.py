@@ -24,8 +24,7 @@ import bayes_aero
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import ERROR, InputError, attempted
 from bayes_aero.flight.card import Card, shipped_cards
-from bayes_aero.flight.card_tables import is_file
-from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.record import FlightRecord, is_file
 
 PACKAGES = (
     "bayes-aero", "arviz-base", "arviz-stats", "emcee", "equinox", "jax", "jaxlib", "numpy", "numpyro", "pandas",

@@ -16,8 +16,7 @@ from bayes_aero.arrays import AnyArray
 from bayes_aero.effect import MARKS
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import Card
-from bayes_aero.flight.card_tables import ATMOSPHERE, RULES
+from bayes_aero.flight.card import ATMOSPHERE, RULES, Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import own_effects
 from bayes_aero.physics.aircraft import (

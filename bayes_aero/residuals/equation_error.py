@@ -23,7 +23,7 @@ from bayes_aero.arrays import AnyArray
 from bayes_aero.dynamics.flight import LinearDynamics
 from bayes_aero.dynamics.system import LinearSystem
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card_tables import ONE
+from bayes_aero.flight.card import ONE
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import response_scales
 from bayes_aero.model.records import Flights

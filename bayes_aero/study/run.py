@@ -19,7 +19,7 @@ import bayes_aero
 from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.card_tables import is_file
+from bayes_aero.flight.record import is_file
 from bayes_aero.jobs.store import (
     environment,
     environment_id,

@@ -17,10 +17,9 @@ from types import UnionType
 from typing import Any, Literal, get_args, get_origin
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import Card, read_card, shipped_cards
-from bayes_aero.flight.card_tables import is_file, read_table
+from bayes_aero.flight.card import Card, read_card, read_table, shipped_cards
 from bayes_aero.flight.reading import READERS
-from bayes_aero.flight.record import segment_of
+from bayes_aero.flight.record import is_file, segment_of
 from bayes_aero.jobs.catalogue import effect_named, known_effects
 from bayes_aero.jobs.options import (
     MAX_SEED,

@@ -10,8 +10,14 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, s
 
 from bayes_aero.diagnosis.result import CheckReport, SensorCheck
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import channel_units, parse_card, shipped_cards
-from bayes_aero.flight.card_tables import parse_aircraft, parse_envelope, refuse_no_body
+from bayes_aero.flight.card import (
+    channel_units,
+    parse_aircraft,
+    parse_card,
+    parse_envelope,
+    refuse_no_body,
+    shipped_cards,
+)
 from bayes_aero.flight.health import Consistency
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import check_records
@@ -29,30 +35,30 @@ STATED = {
 
 @pytest.mark.parametrize("span", [{"span": "51.56 ft"}, {"half_span": "25.78 ft"}, {"span": "15.715488 m"}])
 def test_the_aspect_ratio_is_span_squared_over_wing_area(span):
-    aircraft = parse_aircraft({**STATED, **span}, "mine")
+    aircraft = parse_aircraft({**STATED, **span})
     assert aircraft.aspect_ratio == pytest.approx(51.56**2 / 377.93)
     assert aircraft.half_span == pytest.approx(25.78 * 0.3048)
 
 
 def test_aspect_ratio_span_and_half_of_it():
-    assert parse_aircraft({**STATED, "span": "51.56 ft", "aspect_ratio": 6.5}, "mine").aspect_ratio == 6.5
+    assert parse_aircraft({**STATED, "span": "51.56 ft", "aspect_ratio": 6.5}).aspect_ratio == 6.5
     both = {**STATED, "span": "51.56 ft", "half_span": "20 ft"}
     with pytest.raises(InputError, match=re.escape("has span (51.56 ft) and half_span (20 ft); keep one")):
-        parse_aircraft(both, "mine")
+        parse_aircraft(both)
     with pytest.raises(InputError, match=r'has no half_span; .* or span = "... m"'):
-        parse_aircraft(STATED, "mine")
+        parse_aircraft(STATED)
     with pytest.raises(InputError, match=r"span is -1\.0 m; it must be positive"):
-        parse_aircraft({**STATED, "span": "-1 m"}, "mine")
+        parse_aircraft({**STATED, "span": "-1 m"})
 
 
 def test_inertia_that_no_body_has_is_refused():
     """Of any body each principal moment of inertia is at most the sum of the other two (Goldstein 1980, ch. 5)."""
     span = {"span": "51.56 ft"}
-    refuse_no_body(parse_aircraft({**STATED, **span}, "mine"), "mine")
-    refuse_no_body(parse_aircraft({**STATED, **span, "Iz": "19906 slug-ft2"}, "mine"), "mine")  # a flat plate
+    refuse_no_body(parse_aircraft({**STATED, **span}))
+    refuse_no_body(parse_aircraft({**STATED, **span, "Iz": "19906 slug-ft2"}))  # a flat plate
     for wrong in ({"Iz": "21000 slug-ft2"}, {"Ixz": "13000 slug-ft2"}):
         with pytest.raises(InputError, match="no body has these moments of inertia"):
-            refuse_no_body(parse_aircraft({**STATED, **span, **wrong}, "mine"), "mine")
+            refuse_no_body(parse_aircraft({**STATED, **span, **wrong}))
 
 
 # What a card forms from recorded channels: sums with factors, density and Mach number by rule, tables
@@ -189,9 +195,9 @@ WRONG_INPUTS = [
     (put(*LEFT, "units", "ft"), "unknown key of .tables.thrust_left. 'units'; did you mean 'unit'"),
     (put(*LEFT, "from", {}), "from must name one to 3 channels"),
     (put(*LEFT, "from", "n1_left", {"unit": "%", "points": [40, 100, 60]}), "points must be .* increase"),
-    (put(*LEFT, "from", "n1_left", {"points": [40, 100, 60]}), "must have unit and points"),
+    (put(*LEFT, "from", "n1_left", {"points": [40, 100, 60]}), "thrust_left. from n1_left has no unit"),
     (put(*LEFT, "from", {"n1_lft": {"unit": "%", "points": [1, 2]}}), "does not map; is 'n1_left' there meant"),
-    (put("tables", {"thrust_left": 3}), "must be a table with unit, from and values"),
+    (put("tables", {"thrust_left": 3}), "must be a table with unit, from, values"),
     (put("tables", {"q": {"unit": "rad/s", "from": {}, "values": []}}), "states q elsewhere, too"),
     (put("derived", "density", "guess"), "write 'gas law' or 'dynamic pressure' or 'standard atmosphere'"),
     (put("derived", "density", "standard atmosphere"), "needs altitude"),
@@ -324,7 +330,7 @@ def test_an_initial_state_is_in_si():
 
 # [envelope] of a card: units, defaults, and one sentence for what is wrong
 def test_quantities_have_units_and_the_rest_the_program_s_ranges():
-    found = parse_envelope({"alpha": ["-2 deg", "18 deg"], "altitude_loss": "1000 ft", "load_factor": [0.5, 2]}, "x")
+    found = parse_envelope({"alpha": ["-2 deg", "18 deg"], "altitude_loss": "1000 ft", "load_factor": [0.5, 2]})
     assert found.ranges["alpha"] == pytest.approx(np.deg2rad([-2.0, 18.0]))
     assert found.ranges["altitude_loss"] == (-np.inf, pytest.approx(304.8))
     assert found.ranges["load_factor"] == (0.5, 2.0)

@@ -1,5 +1,6 @@
 """Whatever bytes a file holds, reading it ends soon, in a record or in an InputError."""
 
+import io
 import warnings
 from contextlib import suppress
 from pathlib import Path
@@ -31,7 +32,7 @@ IN_SI = {c.name: float(to_si(1.0, c.unit, c.name)) for c in CHANNELS}
 
 @pytest.fixture(autouse=True)
 def short_time_limit(monkeypatch):
-    monkeypatch.setattr("bayes_aero.flight.readers.binary.TIME_LIMIT", 2.0)
+    monkeypatch.setattr("bayes_aero.flight.binary.TIME_LIMIT", 2.0)
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +145,8 @@ def test_random_tables(folder, suffix):
         path = folder / f"table{suffix}"
         with np.errstate(over="ignore"):
             columns = [(c, values[c.name] / IN_SI[c.name]) for c in CHANNELS]
-        path.write_bytes(WRITERS[suffix](columns))
+        WRITERS[suffix](columns, buffer := io.BytesIO())
+        path.write_bytes(buffer.getvalue())
         with suppress(InputError):
             record = read_record(path, CHANNELS, resample=resample)
             assert record.n >= 50

@@ -10,8 +10,7 @@ import scipy.io
 from flight_samples import workbook
 from flights import flight
 
-from bayes_aero.flight.card import parse_card
-from bayes_aero.flight.card_tables import parse_table
+from bayes_aero.flight.card import parse_card, parse_table
 from bayes_aero.flight.channel import ALIASES, Channel, plain_heading, split_heading, symbol_of
 from bayes_aero.flight.reading import READERS, inspect_record, read_raw, read_record
 from bayes_aero.flight.record import FlightRecord

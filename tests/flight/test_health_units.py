@@ -10,7 +10,7 @@ from flights import NOISE, UNITS, G, card, changed, flight, smooth
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.health.air import air_data, derivatives
+from bayes_aero.flight.health.air import air_data
 from bayes_aero.flight.health.channel import channel_health
 from bayes_aero.flight.health.kinematics import refuted
 from bayes_aero.flight.reading import read_record
@@ -79,12 +79,7 @@ def test_wrong_units_show_in_level_flight_and_in_the_density(sound):
     (told,) = [f for f in findings(record) if f.fault == "load"]
     assert told.grave
     assert told.channel == "density"
-    assert "density were in slug/ft^3 (the card says kg/m^3)" in told.sentence
-    small = card(**AIR)
-    small = replace(small, aircraft=replace(small.aircraft, mass=1500.0, wing_area=28.0 / FOOT**2))
-    told = [f for f in air_data(changed(sound, without=("altitude", "mach")), small) if f.fault == "load"]
-    assert len(told) == 1
-    assert "wing_area were in ft^2" in told[0].sentence
+    assert "correct the unit of one of them" in told.sentence
     told = [f for f in air_data(changed(sound, altitude=sound["altitude"] / FOOT), card(**AIR)) if f.fault == "unit"]
     assert [f.channel for f in told][:1] == ["altitude"]
     assert 'set unit = "ft" for altitude' in told[0].sentence
@@ -108,48 +103,15 @@ def test_a_constant_or_derived_density_is_held_against_the_altitude(sound):
 
 def test_airspeed_dynamic_pressure_and_mach_number_are_held_against_each_other(sound):
     record = changed(sound, airspeed=sound["airspeed"] * np.sqrt(sound["density"] / 1.225))
-    assert ("airspeed_kind", "airspeed") in [(f.fault, f.channel) for f in air_data(record, card(**AIR))]
+    assert ("factor", "dynamic_pressure") in [(f.fault, f.channel) for f in air_data(record, card(**AIR))]
     M = 0.85
     fast = changed(sound, airspeed=sound["airspeed"] * (M / sound["mach"]), mach=np.full(sound.n, M))
     q = 0.5 * fast["density"] * fast["airspeed"] ** 2
-    impact = fast["dynamic_pressure"] * 0.0 + 0.7**-1 * q / M**2 * ((1.0 + 0.2 * M**2) ** 3.5 - 1.0)
-    told = [*air_data(changed(fast, dynamic_pressure=impact), card(**AIR))]
-    assert [(f.channel, f.grave) for f in told] == [("dynamic_pressure", False)]
-    assert "impact pressure" in told[0].sentence
     assert [*air_data(changed(fast, dynamic_pressure=q), card(**AIR))] == []
     (told,) = air_data(changed(sound, without=("density", "dynamic_pressure"), airspeed=sound["airspeed"] / KNOT),
                      card(**AIR))  # fmt: skip
     assert (told.channel, told.fault, told.grave) == ("airspeed", "unit", True)
     assert 'unit = "kt"' in told.sentence
-
-
-@pytest.mark.parametrize(("off", "kind"), [(1.0, True), (0.96, True), (1.04, True), (1.0554, False), (0.94, False)])
-def test_an_airspeed_is_calibrated_where_its_ratio_is_that_of_calibrated_airspeed(sound, off, kind):
-    """The root of the density ratio is 0.813 at 4000 m: 0.858 is 5.5 % off. Without a name, the factor is reported."""
-    ratio = off * np.sqrt(sound["density"] / 1.225)
-    found = [*air_data(changed(sound, airspeed=sound["airspeed"] * ratio, without=("mach",)), card(**AIR))]
-    assert {f.fault for f in found if f.fault != "load"} == {"airspeed_kind" if kind else "factor"}
-
-
-@pytest.mark.parametrize(("name", "dt"), [("p", 0.02), ("q", 0.1), ("r", 0.02)])
-def test_a_derivative_in_degrees_is_told(name, dt):
-    record = flight(2, dt)
-    rng = np.random.default_rng(1)
-    slope = np.gradient(record[name], dt) + 0.02 * rng.standard_normal(record.n)
-    unit = {f"{name}_dot": {"unit": "rad/s^2"}}
-    assert [*derivatives(changed(record, **{f"{name}_dot": slope}), card(**unit))] == []
-    (told,) = derivatives(changed(record, **{f"{name}_dot": np.rad2deg(slope)}), card(**unit))
-    assert (told.channel, told.fault) == (f"{name}_dot", "unit")
-    assert 'set unit = "deg/s^2"' in told.sentence
-    (told,) = derivatives(changed(record, **{f"{name}_dot": -slope}), card(**unit))
-    assert (told.channel, told.fault) == (f"{name}_dot", "sign")
-
-
-def test_an_axis_that_is_not_excited_says_nothing():
-    rng = np.random.default_rng(3)
-    record = flight(3)
-    still = {"r": 4e-4 * rng.standard_normal(record.n), "r_dot": 0.6 * rng.standard_normal(record.n)}
-    assert [*derivatives(changed(record, **still), card(r_dot={"unit": "rad/s^2"}))] == []
 
 
 needs_book = pytest.mark.skipif(not BOOK.is_dir(), reason="the records of the book are not in ../shared/book")
@@ -168,18 +130,13 @@ def book(name, **changes):
     channels = tuple(Channel(key, unit, None, column) for key, (column, unit) in places.items())
     record = read_record(BOOK / name, channels)
     ours = replace(card(), channels=channels)
-    return [*air_data(record, ours), *derivatives(record, ours)]
+    return [*air_data(record, ours)]
 
 
 @needs_book
 @pytest.mark.parametrize("name", ["fAttasElv1_pqrDot.asc", "fAttasAil1_pqrDot.asc", "fAttasRud1_pqrDot.asc"])
-def test_the_records_of_the_book_are_silent_in_their_units_and_tell_others(name):
-    own = {"p_dot": (46, "rad/s^2"), "q_dot": (47, "rad/s^2"), "r_dot": (48, "rad/s^2")}
+def test_the_records_of_the_book_are_silent_in_their_units(name):
     assert book(name) == []
-    assert book(name, **own) == []
-    axis = {"E": ("q_dot", 47), "A": ("p_dot", 46), "R": ("r_dot", 48)}[name[6]]
-    told = book(name, **{axis[0]: (axis[1], "deg/s^2")})  # as the book's own program takes them (its case 32)
-    assert [(f.channel, f.fault) for f in told] == [(axis[0], "unit")]
 
 
 FORWARD_LEFT_UP, LATERAL = ("ay", "az", "q", "r", "theta", "psi"), ("phi", "psi", "beta", "p", "r", "ay")
@@ -321,8 +278,8 @@ def test_a_turn_without_manoeuvres_leaves_bias_and_factor_open():
     for wrong in ({"airspeed": 0.4 * noisy["airspeed"]}, {"ay": noisy["ay"] + 1.5 * np.sin(phi) * G}):
         said = channel_health([changed(record, without=("altitude", "elevator"), **noisy | wrong)], card())
         (finding,) = [f for f in said if f.channel in ("ay", "airspeed")]
-        assert (finding.fault, finding.channel) == ("mean", "ay")
-        assert "airspeed is 0.4 times" in finding.sentence
+        assert (finding.fault, finding.channel) == ("bias", "ay")
+        assert "in a turn, a factor of the airspeed" in finding.sentence
 
 
 def off_by_a_tenth(record, rng, _):
@@ -365,13 +322,7 @@ def test_a_mean_lateral_acceleration_is_a_bias_with_its_size(size, without):
     assert channel_health([record], replace(card(), effects=("attached_lift", "accel_y_bias"))) == ()
 
 
-def test_calibrated_airspeed_and_time_in_other_units(sound):
-    speed = {"calibrated_airspeed": {"unit": "m/s"}}
-    ias = sound["airspeed"] * np.sqrt(sound["density"] / 1.225)
-    assert findings(changed(sound, calibrated_airspeed=ias), **speed) == ()
-    (finding,) = findings(changed(sound, calibrated_airspeed=ias / KNOT), **speed)
-    assert 'unit = "kt" for calibrated_airspeed' in finding.sentence
-    assert not finding.grave  # nothing is computed from it
+def test_time_in_another_unit_is_told():
     record = flight(22, 0.2)
     found = channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
     (finding,) = [f for f in found if f.fault == "unit"]

@@ -11,15 +11,17 @@ import bayes_aero as ba
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import parse_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
-from bayes_aero.flight.checks import MIN_SAMPLES, check_record, resample_record
+from bayes_aero.flight.health.air import proposals
 from bayes_aero.flight.reading import (
+    MIN_SAMPLES,
     at_common_rate,
+    check_record,
     inspect_record,
     manoeuvres,
-    proposals,
     rate_notes,
     read_record,
     read_records,
+    resample_record,
 )
 from bayes_aero.flight.record import FlightRecord, parts_of, segment_of, write_record
 from bayes_aero.units import si_unit
@@ -242,7 +244,7 @@ def test_parts_of_a_file_by_seconds_number_and_gaps(seamed):
 
 
 @pytest.mark.parametrize(("spec", "said"), [
-    ("200:300", "no sample lies in the part from 200 to 300 s: its time goes from 0 to 74.36 s"),
+    ("200:300", "no sample lies in the part 200:300 (s): its time goes from 0 to 74.36 s"),
     ("5:3", "FROM before TO"),
     ("#4", "gaps in time divide it into 3"),
     ("0:1", "26 samples; at least 50"),
@@ -365,9 +367,9 @@ CASES = {
     "gap": ({"time": T + (np.arange(120) > 70) * 0.2}, ("channel time", "gap", "sample 70 ", "0.24 s", "--split")),
     "jitter": ({"time": put(T, 40, T[40] + 0.002)}, ("channel time", "unevenly", "sample 39 ", "--resample 0.04")),
     "milliseconds": ({"time": T * 1e3}, ("channel time", "40 s", "sample 0 ", 'unit = "ms"')),
-    "days": ({"time": T / 86400}, ("channel time", "sample 0 ", "days")),
+    "days": ({"time": T / 86400}, ("channel time", "sample 0 ", 'unit = "d"')),
     "alpha in degrees": ({"alpha": np.rad2deg(sound()["alpha"])},
-     ("channel alpha", "sample 0 ", "t = 0 s", "looks like degrees", 'unit = "deg"')),
+     ("channel alpha", "sample 0 ", "t = 0 s", "looks like deg", 'unit = "deg"')),
     "theta in degrees": ({"theta": 5 + T}, ("channel theta", "sample 0 ", 'unit = "deg"')),
     "q in degrees per second": ({"q": 6 * np.sin(T)}, ("channel q", "sample 25 ", 'unit = "deg/s"')),
     "fast": ({"airspeed": np.full(120, 450.0)}, ("channel airspeed", "450 m/s", "sample 0 ", '"kt"')),
@@ -405,7 +407,7 @@ def test_the_unit_that_the_card_has_is_not_advised():
 def test_a_fill_value_is_told_before_any_unit(value):
     degrees = [Channel("alpha", "deg")]
     filled = sound(alpha=put(put(sound()["alpha"], 11, np.deg2rad(value)), 50, np.deg2rad(value)))
-    refused(filled, f"{value:.10g} deg stands at 2 of 120 samples", "sample 11 ", "fill value", channels=degrees)
+    refused(filled, f"({value:.6g} deg in the file)", "sample 11 ", "2 of 120", "fill value", channels=degrees)
 
 
 def test_the_table_of_channels():

@@ -9,9 +9,9 @@ from flight_samples import CHANNELS, sound, told
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.readers.text import Marks, laid_out, marks_of, number_of, seconds, separator_of
 from bayes_aero.flight.reading import read_raw, read_record
 from bayes_aero.flight.record import write_record
+from bayes_aero.flight.text import Marks, laid_out, marks_of, number_of, seconds, separator_of
 
 LABELS = [channel.heading for channel in CHANNELS]
 
@@ -228,10 +228,7 @@ def test_several_rates_are_interpolated_on_request(tmp_path):
     channels = [*CHANNELS, Channel("altitude", "m", "H")]
     frame.loc[np.arange(len(frame)) % 5 != 0, "H"] = np.nan
     frame.to_csv(tmp_path / "a.csv", index=False)
-    told(
-        tmp_path / "a.csv", channels, "altitude", "of 5 Hz in a file of several rates", "25 Hz the fastest",
-        "--resample 0.04",
-    )  # fmt: skip
+    told(tmp_path / "a.csv", channels, "altitude", "96 of 120 samples", "file is of several rates", "--resample 0.04")
     record = read_record(tmp_path / "a.csv", channels, resample=0.04)
     np.testing.assert_allclose(record["altitude"], 5000.0 + 100.0 * np.sin(0.5 * record.time), atol=0.02)
     assert "missing samples of altitude (5 Hz in a file of 25 Hz)" in record.remarks[0]
@@ -256,9 +253,9 @@ def test_a_unit_in_the_heading_counts(tmp_path):
 def test_a_table_of_two_columns():
     rows = ["Sampling;25 Hz", "time;alpha", *(f"0,{k:02d};1,{k}" for k in range(10, 60))]
     lines = list(enumerate(rows, 1))
-    layout = laid_out(lines, separator_of(lines))
-    assert [h.names for h in layout.headings] == [("Sampling", "time"), ("25 Hz", "alpha")]
-    assert len(layout.body) == 50
+    opened = laid_out(lines, separator_of(lines))
+    assert [h.names for h in opened.headings] == [("Sampling", "time"), ("25 Hz", "alpha")]
+    assert len(opened.read({"alpha": opened.headings[1]})["alpha"].values) == 50
 
 
 # CSV files with quoted cells that hold the separator: headings, decimal commas, and what cannot be told

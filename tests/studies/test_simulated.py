@@ -9,7 +9,7 @@ from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.checks import check_record
+from bayes_aero.flight.reading import check_record
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.options import IdentifyOptions

@@ -1,11 +1,11 @@
-"""What is wrong with one channel of one record, and the words that all kinds of fault share."""
+"""What is wrong with one channel of one record, and the words and measures that all kinds of fault share."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from itertools import product
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -37,15 +37,10 @@ def only_following(health: Iterable[HealthFinding]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(finding.channel for finding in health if finding.fault == "feedback"))
 
 
-def found(
-    record: FlightRecord,
-    channel: str,
-    fault: str,
-    sentence: str,
-    *,
-    at: tuple[int, int] | None = None,
+def finding(
+    record: FlightRecord, channel: str, fault: str, sentence: str, at: tuple[int, int] | None = (0, -1), *,
     grave: bool = True,
-) -> HealthFinding:
+) -> HealthFinding:  # fmt: skip
     """A finding whose sentence begins with the record's name; `at` are its first and last sample."""
     begin, end = (None, None) if at is None else (float(record.time[at[0]]), float(record.time[at[1]]))
     return HealthFinding(record.name, channel, fault, begin, end, f"{record.name}: {sentence}", grave)
@@ -53,11 +48,8 @@ def found(
 
 def declared(card: Card, name: str) -> Channel:
     """What the card says of a channel; of one that it does not map, the program's own unit."""
-    for channel in card.channels:
-        if channel.name == name:
-            return channel
     standard = STANDARD_CHANNELS.get(name)
-    return Channel(name, standard.unit if standard else "1")
+    return next((c for c in card.channels if c.name == name), Channel(name, standard.unit if standard else "1"))
 
 
 def other_units(card: Card, name: str, units: Iterable[str]) -> Iterator[tuple[str, float]]:
@@ -68,68 +60,60 @@ def other_units(card: Card, name: str, units: Iterable[str]) -> Iterator[tuple[s
             yield unit, float(to_si(1.0, unit, name, channel.si) / to_si(1.0, channel.unit, name, channel.si))
 
 
-def as_filed(card: Card, name: str, values: np.ndarray | float) -> np.ndarray:
-    """SI values of a channel in the unit and with the sign of the file, rounded to six digits to undo conversion."""
-    channel = declared(card, name)
-    raw = channel.filed(np.asarray(values, float))
-    with np.errstate(all="ignore"):
-        digits = 10.0 ** (5.0 - np.floor(np.log10(np.where(raw == 0.0, 1.0, np.abs(raw)))))
-        return np.where(np.abs(raw) < 1e-9, 0.0, np.round(raw * digits) / digits)
+def as_filed(card: Card, name: str, value: float) -> float:
+    """An SI value of a channel in the unit and with the sign of the file, in six digits to undo conversion."""
+    filed = float(declared(card, name).filed(value))
+    return 0.0 if abs(filed) < 1e-9 else float(f"{filed:.6g}")
 
 
 def shown(card: Card, name: str, value: float, *, size: bool = False) -> str:
     """A value with the card's unit: "3.2 deg"; a size is without sign."""
-    unit = declared(card, name).unit
-    filed = float(as_filed(card, name, value))
-    return f"{abs(filed) if size else filed:.4g}" + ("" if unit == "1" else f" {unit}")
+    filed = as_filed(card, name, value)
+    return f"{abs(filed) if size else filed:.4g} {declared(card, name).unit}".removesuffix(" 1")
 
 
 def span(record: FlightRecord, first: int, last: int) -> str:
-    """From when to when, in words."""
     return f"from {instant(record.time[first])} to {instant(record.time[last])} s"
 
 
-# --- What was decided when the record was read.
+def when(record: FlightRecord, index: np.ndarray) -> str:
+    return f"t = {', '.join(f'{record.time[i]:.6g}' for i in index[:3])}{' ...' if len(index) > 3 else ''} s"
+
+
+# --- What was decided when the record was read, and records too short for the filters and the motion of the aircraft.
 
 
 def decided(record: FlightRecord, _card: Card) -> Findings:
     """Optional channels that no sound record could have and that were left out; text that could mean two things."""
     for name, why in record.dropped.items():
-        yield found(record, name, "left_out", f"{why}; it is not required and was left out", grave=False)
+        yield finding(record, name, "left_out", f"{why}; it is not required and was left out", None, grave=False)
     for remark in record.remarks:
-        yield found(record, "record", "read", remark, grave=False)
+        yield finding(record, "record", "read", remark, None, grave=False)
 
-
-# --- Records too short for the filters and for the motion of the aircraft.
 
 ENDS = 30  # samples at both ends together that the smoother (7) and the differentiator (8) distort
-SHARE = 0.25  # of a record that may be ends
 CHORDS = 120.0  # lengths travelled: two short periods, or a separation and, at 20 to 30 chords, its reattachment
 LEAST = 5.0  # s, where the card states no chord
 
 
 def short(record: FlightRecord, card: Card) -> Findings:
     """A finding if the record is shorter than a manoeuvre must be to be identified by itself."""
-    lasts = float(record.time[-1] - record.time[0])
-    chord = float(card.aircraft.chord)
+    lasts, chord = float(record.time[-1] - record.time[0]), float(card.aircraft.chord)
     speed = float(np.median(record["airspeed"])) if record.has("airspeed") else np.nan
-    motion = CHORDS * chord / speed if np.isfinite(chord) and chord > 0.0 and speed > 5.0 else LEAST
-    ends = 0.0 if card.linear is not None else ENDS / SHARE * record.dt  # a linear model is flown, nothing is filtered
-    motion = min(motion, LEAST) if card.linear is not None else motion
-    needed = max(motion, ends)
-    if lasts >= needed:
-        return
-    why = (
-        f"{CHORDS:.0f} chords of flight, in which an aircraft has answered a control and a stall has come and gone"
-        if motion >= ends
-        else f"{ENDS} samples at the ends, which the filters distort, must not be more than a quarter of it"
-    )
-    least, has = np.ceil(10.0 * needed) / 10.0, np.floor(10.0 * lasts) / 10.0  # never the same number
-    sentence = (
-        f"the record is too short: {has:g} s, and {least:g} s are needed ({why}); estimates can be off by "
-        "several standard errors, so give the whole manoeuvre with some seconds of trimmed flight before it"
-    )
-    yield found(record, "record", "short", sentence, at=(0, record.n - 1))
+    motion, ends = CHORDS * chord / speed if chord > 0.0 and speed > 5.0 else LEAST, 4.0 * ENDS * record.dt
+    if card.linear is not None:  # it is flown, nothing is filtered
+        motion, ends = min(motion, LEAST), 0.0
+    if lasts < max(motion, ends):
+        why = f"{ENDS} samples at the ends, which the filters distort, must not be more than a quarter of it"
+        if motion >= ends:
+            why = f"{CHORDS:.0f} chords of flight, in which an aircraft has answered a control and a stall has come "
+            why += "and gone"
+        least, has = np.ceil(10.0 * max(motion, ends)) / 10.0, np.floor(10.0 * lasts) / 10.0  # never the same number
+        yield finding(
+            record, "record", "short",
+            f"the record is too short: {has:g} s, and {least:g} s are needed ({why}); estimates can be off by several "
+            "standard errors, so give the whole manoeuvre with some seconds of trimmed flight before it",
+        )  # fmt: skip
 
 
 # --- Simple measures of a recorded signal: how it scatters, steps, repeats.
@@ -142,14 +126,10 @@ CONTROLS = frozenset(
 )
 """Channels that may rightly stand still, step, and rest at a stop."""
 
-NOISY = 0.5  # of the variance: beyond it a function of the channel is one of its noise; our choice
-STEPPED, SMALL = 0.4, 0.1  # share of steps that are smaller than a tenth of the large ones: Gaussian noise has 0.13
-
 
 def channels_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     """The record's channels and what the card states where nothing was recorded, each (n,) in SI."""
-    stated = {name: np.full(record.n, value) for name, value in card.constants.items()}
-    return {**stated, **record.channels}
+    return {name: np.full(record.n, value) for name, value in card.constants.items()} | {**record.channels}
 
 
 def noise_of(*parts: np.ndarray) -> float:
@@ -159,14 +139,13 @@ def noise_of(*parts: np.ndarray) -> float:
     deviation. Several `parts` follow each other with gaps."""
     if sum(map(len, parts)) < 8:
         return 0.0
-    third = np.concatenate([np.diff(x, 3) for x in parts])
-    return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0))
+    return float(1.4826 * np.median(np.abs(np.concatenate([np.diff(x, 3) for x in parts]))) / np.sqrt(20.0))
 
 
 def noise_alone(x: np.ndarray, *parts: np.ndarray) -> bool:
     """Whether more than half of what (n,) samples scatter about the mean, of each of `parts`, is white noise."""
     parts = parts or (x,)
-    return bool(noise_of(*parts) ** 2 > NOISY * float(sum(len(p) * np.var(p) for p in parts)) / len(x))
+    return bool(noise_of(*parts) ** 2 > 0.5 * float(sum(len(p) * np.var(p) for p in parts)) / len(x))
 
 
 def quantum_of(x: np.ndarray) -> float:
@@ -176,20 +155,10 @@ def quantum_of(x: np.ndarray) -> float:
     if not np.any(steps > 0.0):
         return 0.0
     large = float(np.quantile(steps[steps > 0.0], 0.9))
-    if np.mean(steps <= SMALL * large) < STEPPED:
-        nonzero = steps[steps > 1e-9 * large]
+    if np.mean(steps <= 0.1 * large) < 0.4:  # Gaussian noise has 0.13
         repeated = 1.0 - len(np.unique(x)) / len(x)
-        return float(np.quantile(nonzero, 0.05)) if repeated > 0.5 else 0.0
-    return float(np.median(steps[steps > SMALL * large]))
-
-
-def level_step(x: np.ndarray) -> float:
-    """The distance of neighbouring levels of (n,) samples that take few values; zero if they take many."""
-    levels = np.unique(x)
-    if len(levels) < 2 or len(levels) > len(x) / 4:
-        return 0.0
-    gaps = np.diff(levels)
-    return float(np.median(gaps[gaps > 1e-6 * np.ptp(levels)]))
+        return float(np.quantile(steps[steps > 1e-9 * large], 0.05)) if repeated > 0.5 else 0.0
+    return float(np.median(steps[steps > 0.1 * large]))
 
 
 def quantum(x: np.ndarray) -> float:
@@ -199,11 +168,10 @@ def quantum(x: np.ndarray) -> float:
     return float(gaps.min()) if len(gaps) else 0.0
 
 
-def runs_of(equal: np.ndarray) -> Iterator[tuple[int, int]]:
+def runs_of(equal: np.ndarray) -> list[tuple[int, int]]:
     """First and last index of each run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], equal.astype(np.int8), [0]])))
-    for first, after in edges.reshape(-1, 2):
-        yield int(first), int(after) - 1
+    edges = np.flatnonzero(np.diff(equal.astype(np.int8), prepend=0, append=0)).tolist()
+    return [(first, after - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def still_runs(x: np.ndarray) -> list[tuple[int, int]]:
@@ -211,118 +179,79 @@ def still_runs(x: np.ndarray) -> list[tuple[int, int]]:
     return [(first, last + 1) for first, last in runs_of(np.diff(x) == 0.0)]
 
 
-# --- Records of different sampling rates in one job.
+def longest(runs: Iterable[tuple[int, int]]) -> tuple[int, int]:
+    return max(runs, key=lambda run: run[1] - run[0])
 
-SAME_RATE = 0.01  # relative difference of rates that is none
+
+# --- Records of different sampling rates in one job; one flight given twice, also cut, renamed or rounded.
 
 
 def different_rates(records: Sequence[FlightRecord]) -> Findings:
     """A finding for the first record whose rate is not that of the others, with all rates."""
     rates = np.array([1.0 / record.dt for record in records])
-    off = np.flatnonzero(np.abs(np.log(rates / rates[:1])) > SAME_RATE)
-    if not len(off):
-        return
-    listed = ", ".join(f"{r.name} {rate:.4g} Hz" for r, rate in zip(records, rates, strict=True))
-    sentence = (
-        f"the records have different sampling rates ({listed}): filters span samples, so derivatives and noise differ "
-        f"between them; identify brings them to the lowest rate by default, elsewhere resample "
-        f"(--resample {1.0 / rates.min():.4g})"
-    )
-    yield found(records[int(off[0])], "time", "rates", sentence)
+    for i in np.flatnonzero(np.abs(np.log(rates / rates[:1])) > 0.01)[:1]:
+        listed = ", ".join(f"{r.name} {rate:.4g} Hz" for r, rate in zip(records, rates, strict=True))
+        yield finding(
+            records[i], "time", "rates",
+            f"the records have different sampling rates ({listed}): filters span samples, so derivatives and noise "
+            "differ between them; identify brings them to the lowest rate by default, elsewhere resample "
+            f"(--resample {1.0 / rates.min():.4g})", None,
+        )  # fmt: skip
 
-
-# --- One flight given twice, also cut, renamed, rounded or thinned out: samples are compared, not names.
 
 FIRST = ("q", "alpha", "az", "theta", "airspeed", "elevator", "p", "ax", "phi", "altitude", "r", "beta", "ay")
 """Channels that tell flights apart best; those of a card's own names come after them."""
 FEWEST = 40  # samples in common
-NEAR = 0.5  # correlation of sample-to-sample differences from which a shift of time is looked at closely
-SAME_CORRELATION = 0.999  # the same, noise included, that two flights never have
-CHANNELS = 2  # channels that must agree, at least
-OTHERWISE = 2  # channels that may differ: repaired or filtered anew in one of the files
-SLOWER = 20  # times, at most, that one of the records may be the slower
-COARSEST = 0.1  # of a channel's range: the largest digit to which it may be rounded and still tell
+CHANNELS = 2  # channels that must agree at least, and that may differ: repaired or filtered anew in one of the files
 
 
 def same_records(records: Sequence[FlightRecord]) -> Findings:
-    """A finding for each pair of records that share samples."""
-    for j, two in enumerate(records):
-        for one in records[:j]:
-            if (shared := repeats_of(one, two)) is not None:
-                words, at = shared
-                words += ", so the flight counts twice and every interval is too narrow; give the flight once"
-                yield found(two, "record", "same_record", words, at=at)
+    """A finding for each pair of records that share samples: these are compared, not names."""
+    for one, two in combinations(records, 2):
+        if shared := repeats_of(one, two):
+            words, at = shared
+            words += ", so the flight counts twice and every interval is too narrow; give the flight once"
+            yield finding(two, "record", "same_record", words, at)
 
 
 def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, int]] | None:
     """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing."""
-    slow = max(one.dt, two.dt)
-    every = [round(slow / record.dt) for record in (one, two)]
-    if max(every) > SLOWER or any(abs(k * r.dt - slow) > 1e-3 * slow for k, r in zip(every, (one, two), strict=True)):
+    names = dict.fromkeys(n for n in (*FIRST, *one.channels) if n in one.channels and n in two.channels)
+    names = [n for n in names if np.ptp(one[n]) > 0.0 and np.ptp(two[n]) > 0.0]
+    if len(names) < CHANNELS or abs(one.dt - two.dt) > 1e-3 * one.dt:
         return None
-    names = [n for n in FIRST if n in one.channels] + [n for n in one.channels if n not in FIRST]
-    names = [n for n in names if n in two.channels and np.ptp(one[n]) > 0.0 and np.ptp(two[n]) > 0.0]
-    if len(names) < CHANNELS:
-        return None
-    for begin in product(*map(range, every)):
-        x, y = ({n: r[n][b::k] for n in names} for r, b, k in zip((one, two), begin, every, strict=True))
-        if (shared := _shared(x, y)) is not None:
-            first, count = shared
-            lengths = len(x[names[0]]), len(y[names[0]])
-            part = "shares a part with the record"
-            if count >= min(lengths) - 2:
-                part = f"is {'' if lengths[0] == lengths[1] else 'part of '}the same record as"
-            ends = (begin[1] + every[1] * first, begin[1] + every[1] * (first + count - 1))
-            return f"{part} {one.name}: {count} samples ({count * slow:.4g} s) are the same samples", ends
-    return None
-
-
-def _shared(one: Mapping[str, np.ndarray], two: Mapping[str, np.ndarray]) -> tuple[int, int] | None:
-    """First sample in `two` and number of the samples that both have; None if there are none."""
-    for lead in list(one)[:3]:
-        lag = _lag(np.diff(one[lead]), np.diff(two[lead]))
-        if lag is None:
+    for a, b in ((np.diff(one[lead]), np.diff(two[lead])) for lead in names[:3]):
+        # By how many samples b lies behind a where the two correlate best, among overlaps that are long enough.
+        lags = np.arange(-(len(b) - 1), len(a))
+        product = np.fft.irfft(np.fft.rfft(a, 2 * len(lags)) * np.fft.rfft(b[::-1], 2 * len(lags)))[: len(lags)]
+        power_a, power_b = (np.concatenate([[0.0], np.cumsum(v**2)]) for v in (a, b))
+        begins, ends = np.maximum(0, -lags), np.minimum(len(b), len(a) - lags)
+        power = (power_a[ends + lags] - power_a[begins + lags]) * (power_b[ends] - power_b[begins])
+        enough = (ends - begins >= FEWEST) & (power > 1e-12 * power_a[-1] * power_b[-1])
+        score = np.where(enough, product / np.sqrt(np.where(enough, power, 1.0)), -1.0)
+        lag = int(lags[np.argmax(score)])
+        if score.max() <= 0.5:
             continue
-        begin, end = max(0, -lag), min(len(two[lead]), len(one[lead]) - lag)  # samples of `two` that `one` has, too
-        alike = sum(alike_samples(one[n][begin + lag : end + lag], two[n][begin:end]) for n in one)
-        if alike >= max(CHANNELS, len(one) - OTHERWISE):
-            return begin, end - begin
+        begin, end = max(0, -lag), min(two.n, one.n - lag)  # samples of `two` that `one` has, too
+        alike = 0
+        for name in names:  # they step alike, noise included, or differ by no more than their last digits
+            x, y = one[name][begin + lag : end + lag], two[name][begin:end]
+            dx, dy, digit = np.diff(x), np.diff(y), quantum(x) + quantum(y)
+            power = np.sqrt(float(dx @ dx) * float(dy @ dy))
+            rounded = digit < 0.1 * np.ptp(y) and float(np.max(np.abs(x - y))) <= 0.51 * digit
+            alike += rounded or (power > 0.0 and float(dx @ dy) > 0.999 * power)  # which two flights never have
+        if alike >= max(CHANNELS, len(names) - CHANNELS):
+            whole = f"is {'' if one.n == two.n else 'part of '}the same record as"
+            part = whole if end - begin >= min(one.n, two.n) - 2 else "shares a part with the record"
+            shared = f"{end - begin} samples ({(end - begin) * one.dt:.4g} s) are the same samples"
+            return f"{part} {one.name}: {shared}", (begin, end - 1)
     return None
-
-
-def alike_samples(x: np.ndarray, y: np.ndarray) -> bool:
-    """Whether two channels step alike, noise included, or differ by no more than their last digits."""
-    dx, dy = np.diff(x), np.diff(y)
-    power = np.sqrt(float(dx @ dx) * float(dy @ dy))
-    digit = quantum(x) + quantum(y)
-    rounded = digit < COARSEST * np.ptp(y) and float(np.max(np.abs(x - y))) <= 0.51 * digit
-    return bool(rounded or (power > 0.0 and float(dx @ dy) > SAME_CORRELATION * power))
-
-
-def _lag(x: np.ndarray, y: np.ndarray) -> int | None:
-    """By how many samples y lies behind x where the two correlate best, among overlaps that are long enough."""
-    size = 1 << (len(x) + len(y) - 1).bit_length()
-    spectra = np.fft.rfft(x, size) * np.fft.rfft(y[::-1], size)
-    product = np.fft.irfft(spectra, size)[: len(x) + len(y) - 1]
-    lags = np.arange(-(len(y) - 1), len(x))
-    power_x, power_y = (np.concatenate([[0.0], np.cumsum(v**2)]) for v in (x, y))
-    begin = np.maximum(0, -lags)
-    end = np.minimum(len(y), len(x) - lags)
-    power = (power_x[end + lags] - power_x[begin + lags]) * (power_y[end] - power_y[begin])
-    long = (end - begin >= FEWEST) & (power > 1e-12 * power_x[-1] * power_y[-1])
-    if not long.any():
-        return None
-    score = np.where(long, product / np.sqrt(np.where(long, power, 1.0)), -1.0)
-    best = int(np.argmax(score))
-    return int(lags[best]) if score[best] > NEAR else None
 
 
 # --- Whether the sensors of records agree along the flight path: the answer as plain data.
 
 
 class Agreement(StrEnum):
-    """The answer in a word."""
-
     AGREE = "agree"
     EXPLAINED = "disagree_explained"
     UNEXPLAINED = "disagree_unexplained"

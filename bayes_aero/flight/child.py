@@ -1,16 +1,12 @@
 """Parsers that run in a process of their own. Run as a script, never imported by the package.
 
-On damaged bytes such parsers loop for ever, crash or take all memory, and nothing interrupts them from inside (the
-HDF5 library is C code; fuzzing soon found files on which it loops). The parent, `binary.py`, gives this process a
-time limit instead.
+On damaged bytes such parsers loop for ever, crash or take all memory, and nothing interrupts them from inside. The
+parent, `binary.py`, gives this process a time limit instead.
 
-In: the file on stdin, the name of the parser in argv[1], a request as JSON in argv[2]. `hdf5` is called with the file
-and the request, and gives a reply for JSON and the arrays behind it; the others are called with the file, and give a
-list of groups and a list of remarks. A group is a name, (n,) seconds from the file's start, and columns: names, unit or
-None, and (n,) numbers; their request is the most bytes of all arrays, and the most columns. Each parser imports its
-library itself, which the others do not need.
-Out: one line of JSON, then its "arrays" (type and size) one after the other. Failures: {"error": ...} or {"refused":
-...}.
+In: the file on stdin, the name of the parser in argv[1], a request as JSON in argv[2]. `hdf5` gives a reply for JSON
+and the arrays behind it; the others a list of groups (a name, (n,) seconds from the file's start, and columns: names,
+unit or None, (n,) numbers) and one of remarks. Each parser imports its library itself.
+Out: the reply as JSON and its arrays, as `np.savez` writes them. Failures: {"error": ...}.
 """
 
 import io
@@ -27,27 +23,12 @@ from typing import Any
 import numpy as np
 
 MEMORY = 8 << 30  # bytes of address space for this process; a damaged header may ask for any amount
-
-
-def _described(groups, remarks, most_bytes, most_columns):
-    """The reply on groups, and the arrays that follow it."""
-    listed, arrays = [], []
-    for name, time, columns in groups:
-        described = [[[str(n)[:200] for n in names], unit] for names, unit, _ in columns]
-        listed.append({"name": str(name)[:200], "columns": described})
-        arrays += [np.asarray(time, np.float64), *(values for _, _, values in columns)]
-    if sum(len(columns) for _, _, columns in groups) > most_columns:
-        return {"refused": f"it has more than {most_columns} columns; is it a flight record?"}, []
-    claimed = sum(array.nbytes for array in arrays)
-    if claimed > most_bytes:
-        return {"refused": f"it unpacks to {claimed} bytes, more than {most_bytes}; cut the record"}, []
-    return {"groups": listed, "remarks": [str(remark)[:500] for remark in remarks]}, arrays
+MOST_BYTES = 16 * 100_000_000  # most bytes that a log may unpack to
 
 
 # --- ArduPilot DataFlash logs.
 
 HEAD = 3  # bytes before the fields of a message: two marks and its type
-SPOILT = 600  # bytes without a message that are no sign of damage: a logger writes whole pages
 DEGREES = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg"}  # ArduPilot tells kinds of degrees apart
 NOT_SAMPLED = ("FMT", "FMTU", "MULT", "PARM", "UNIT")  # what describes other messages, and the list of settings
 
@@ -64,41 +45,31 @@ def dataflash(data):
         file.write(data)
         file.flush()
         log = Log(file.fileno())
-        found, covered = [], 0
+        groups, covered = [], 0
         raw = np.frombuffer(data, np.uint8)
         for kind, fmt in log.formats.items():
             covered += len(log.offsets[kind]) * fmt.len
-            messages = _messages(raw, log.offsets[kind], fmt, FORMAT_TO_STRUCT)
-            if messages is not None and "TimeUS" in fmt.columns and fmt.name not in NOT_SAMPLED:
-                found += _instances(fmt, messages)
-    origin = min((int(time.min()) for _, time, _ in found if len(time)), default=0)
-    lost = len(data) - covered
-    remarks = [f"{lost} of its {len(data)} bytes belong to no message; the rest is used"] if lost > SPOILT else []
-    return [(name, (time - origin) / 1e6, columns) for name, time, columns in found], remarks
+            if "TimeUS" in fmt.columns and fmt.name not in NOT_SAMPLED:
+                groups += _instances(raw, log.offsets[kind], fmt, FORMAT_TO_STRUCT)
+    origin = min((int(time.min()) for _, time, _ in groups if len(time)), default=0)
+    lost = len(data) - covered  # 600 are no sign of damage: a logger writes whole pages
+    remarks = [f"{lost} of its {len(data)} bytes belong to no message; the rest is used"] if lost > 600 else []
+    return [(name, (time - origin) / 1e6, columns) for name, time, columns in groups], remarks
 
 
-def _messages(raw, offsets, fmt, types):
-    """A structured array of all messages of a type, a field for each character of its format; None where it is odd."""
-    if not len(offsets) or len(fmt.columns) != len(fmt.msg_fmts) or len(set(fmt.columns)) != len(fmt.columns):
-        return None
+def _instances(raw, offsets, fmt, types):
+    """A group for each instance of a message; none of one that is odd."""
     codes = [types[code][0] for code in fmt.msg_fmts]
     codes = [f"S{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
-    kinds = np.dtype([(f"f{k}", code) for k, code in enumerate(codes)])
-    if kinds.itemsize + HEAD != fmt.len or kinds.itemsize == 0:
-        return None
+    layout = np.dtype([(f"f{k}", code) for k, code in enumerate(codes)])
     starts = np.asarray(offsets, np.int64) + HEAD
-    starts = starts[starts + kinds.itemsize <= len(raw)]
-    if not len(starts):
-        return None
-    windows = np.lib.stride_tricks.sliding_window_view(raw, kinds.itemsize)
-    return windows[starts].view(kinds).reshape(-1)
-
-
-def _instances(fmt, messages):
+    starts = starts[starts + layout.itemsize <= len(raw)]
     at = fmt.columns.index("TimeUS")
-    time = messages[f"f{at}"]
-    if time.dtype.kind not in "iu":
+    odd = len(codes) != len(fmt.columns) or len(set(fmt.columns)) != len(codes) or layout.itemsize + HEAD != fmt.len
+    if odd or not len(starts) or layout[at].kind not in "iu":
         return []
+    windows = np.lib.stride_tricks.sliding_window_view(raw, layout.itemsize)
+    messages = windows[starts].view(layout).reshape(-1)  # a field for each character of its format
     chosen = {"": slice(None)}
     if fmt.instance_field is not None:
         numbers = messages[f"f{fmt.columns.index(fmt.instance_field)}"]
@@ -109,22 +80,20 @@ def _instances(fmt, messages):
         names = (fmt.name + label, fmt.name) if len(chosen) == 1 and label else (fmt.name + label,)
         columns = []
         for k, field in enumerate(fmt.columns):
-            values = messages[f"f{k}"]
-            if k == at or field == fmt.instance_field or values.dtype.kind not in "iuf":
+            if k == at or field == fmt.instance_field or layout[k].kind not in "iuf":
                 continue
-            unit, factor = fmt.units[k] if fmt.units else "", fmt.msg_mults[k]
+            values, unit, factor = messages[f"f{k}"][rows], fmt.units[k] if fmt.units else "", fmt.msg_mults[k]
             # By the factor that the format itself has, as a divisor, which is more exact: 1e-7 is no double.
-            scaled = values[rows] if factor is None else values[rows] / round(1.0 / factor)
+            scaled = values if factor is None else values / round(1.0 / factor)
             columns.append(([f"{name}.{field}" for name in names], DEGREES.get(unit, unit) or None, scaled))
-        groups.append((names[0], time[rows].astype(np.int64), columns))
+        groups.append((names[0], messages[f"f{at}"][rows].astype(np.int64), columns))
     return groups
 
 
 # --- HDF5: datasets, and the numbers in them.
 
 DEPTH, MOST_DATASETS = 3, 2100
-NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
-"""What NetCDF names a dataset that holds a length and no numbers."""
+NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # names a dataset that holds a length alone
 
 
 def hdf5(data, wanted, kept):
@@ -151,7 +120,6 @@ def _text(value):
 
 
 def _attribute(value):
-    """Type and values of an attribute, as JSON has them."""
     array = np.asarray(value).reshape(-1)[:2100]
     array = array.astype(array.dtype.newbyteorder("="))
     if array.dtype.kind in "iufb":
@@ -175,31 +143,27 @@ def _datasets(group, path="", depth=0):
             yield from _datasets(item, f"{where}/", depth + 1)
 
 
-def _problem(dataset):
-    """Why a dataset, or the columns of it, cannot be channels."""
+def _listed(dataset):
+    """Shape and unit of a dataset, and why it, or the columns of it, cannot be channels."""
     import h5py
 
-    if dataset.dtype.kind not in "fiub":
-        return f"holds {dataset.dtype} where numbers should be; store it as plain numbers"
-    if h5py.check_enum_dtype(dataset.dtype):
-        return "holds named states (an enumeration) where numbers should be; store it as plain numbers"
-    if dataset.size is None:
-        return "holds nothing; is the file damaged?"
     matrix = dataset.ndim == 2 and "MATLAB_int_decode" not in dataset.attrs
-    if not matrix and dataset.ndim != 1 and dataset.size != max(dataset.shape, default=1):
-        return f"has shape {dataset.shape} where one value a sample should be; split it up"
-    if dataset.external or dataset.is_virtual:
-        return "is stored in another file; copy the data into this one"
-    return ""
-
-
-def _listed(dataset):
-    unit = dataset.attrs.get("units")
+    problem, unit = "", dataset.attrs.get("units")
+    states = h5py.check_enum_dtype(dataset.dtype)
+    if dataset.dtype.kind not in "fiub" or states:
+        holds = "named states (an enumeration)" if states else dataset.dtype
+        problem = f"holds {holds} where numbers should be; store it as plain numbers"
+    elif dataset.size is None:
+        problem = "holds nothing; is the file damaged?"
+    elif not matrix and dataset.ndim != 1 and dataset.size != max(dataset.shape, default=1):
+        problem = f"has shape {dataset.shape} where one value a sample should be; split it up"
+    elif dataset.external or dataset.is_virtual:
+        problem = "is stored in another file; copy the data into this one"
     return {
         "shape": [int(extent) for extent in dataset.shape or ()],
         "unit": None if unit is None else _text(unit),
         "opaque": "MATLAB_object_decode" in dataset.attrs,
-        "problem": _problem(dataset),
+        "problem": problem,
     }
 
 
@@ -208,14 +172,10 @@ def _listed(dataset):
 
 def mdf4(data):
     """Every channel group that has a time channel."""
-    os.environ["NUMEXPR_SANITIZE"] = "1"  # formulas in the file are text that somebody else wrote
-    os.environ["NUMEXPR_MAX_THREADS"] = "1"
     from asammdf import MDF
-    from asammdf.blocks import v4_blocks
     from asammdf.blocks import v4_constants as v4
 
-    v4_blocks.lambdify = None  # asammdf hands a formula that numexpr refuses to sympy, which would run it as Python
-    found, remarks = [], []
+    groups, remarks = [], []
     mdf: Any
     with MDF(io.BytesIO(data)) as mdf:
         # A name for each group: what the file calls it, where that is a name and no other group has it.
@@ -242,13 +202,17 @@ def mdf4(data):
                     qualified = f"{labels[k]}/{name}"
                     alone = counts[name] == 1 and name != "time"
                     columns.append(([name, qualified] if alone else [qualified], signal.unit or None, values))
-            found.append((labels[k], time, columns))
-    return found, remarks
+            groups.append((labels[k], time, columns))
+    return groups, remarks
 
 
 def _signals(group, remarks):
     """Index and name of the signals that hold one number a sample."""
     from asammdf.blocks import v4_constants as v4
+
+    def formula(conversion):  # text that somebody else wrote: asammdf would have it run as a program
+        inner = (getattr(conversion, "referenced_blocks", None) or {}).values()
+        return getattr(conversion, "conversion_type", None) == v4.CONVERSION_TYPE_ALG or any(map(formula, inner))
 
     values = (v4.CHANNEL_TYPE_VALUE, v4.CHANNEL_TYPE_VIRTUAL)
     numbers = range(v4.DATA_TYPE_UNSIGNED_INTEL, v4.DATA_TYPE_REAL_MOTOROLA + 1)
@@ -256,27 +220,11 @@ def _signals(group, remarks):
     for index, channel in enumerate(group.channels):
         if channel.channel_type not in values or channel.data_type not in numbers or group.channel_dependencies[index]:
             continue
-        if _formulas_work(channel.conversion):
-            kept.append((index, channel.name))
+        if formula(channel.conversion):
+            remarks.append(f"the signal {channel.name!r} is left out: its conversion is a formula")
         else:
-            remarks.append(f"the signal {channel.name!r} is left out: the formula of its conversion cannot be used")
+            kept.append((index, channel.name))
     return kept
-
-
-def _formulas_work(conversion):
-    """Whether numexpr takes each formula of X alone; asammdf would hand out raw values without a word."""
-    import numexpr
-    from asammdf.blocks import v4_blocks
-    from asammdf.blocks import v4_constants as v4
-
-    if not isinstance(conversion, v4_blocks.ChannelConversion):
-        return True
-    if conversion.conversion_type == v4.CONVERSION_TYPE_ALG:
-        try:
-            numexpr.evaluate(conversion.formula.replace("X1", "X"), {"X": np.ones(1)}, {})
-        except Exception:
-            return False
-    return all(_formulas_work(inner) for inner in (conversion.referenced_blocks or {}).values())
 
 
 # --- PX4 ULog.
@@ -287,7 +235,7 @@ def ulog(data):
     from pyulog import ULog
 
     log = ULog(io.BytesIO(data))
-    found, without = [], []
+    groups, without = [], []
     for topic in log.data_list:
         label = topic.name if topic.multi_id == 0 else f"{topic.name}.{topic.multi_id}"
         stamps = topic.data.get("timestamp")
@@ -301,7 +249,7 @@ def ulog(data):
             for name, values in topic.data.items()
             if name != "timestamp" and kinds[name] != "char" and "_padding" not in name
         ]
-        found.append((label, time, columns))
+        groups.append((label, time, columns))
     remarks = []
     if log.file_corruption:
         remarks.append("the file is damaged in places; the samples that could be read are used")
@@ -310,12 +258,24 @@ def ulog(data):
         remarks.append(f"the logger lost samples {len(log.dropouts)} times, for {lost:g} s in all")
     if without:
         remarks.append(f"{len(without)} topics have no time stamps and are left out: {', '.join(without[:5])}")
-    return found, remarks
+    return groups, remarks
+
+
+def groups_of(parsed):
+    groups, remarks = parsed
+    arrays, listed = [], []
+    for name, time, columns in groups:
+        described = [[[str(n)[:200] for n in names], unit] for names, unit, _ in columns]
+        listed.append({"name": str(name)[:200], "columns": described})
+        arrays += [np.asarray(time, np.float64), *(values for _, _, values in columns)]
+    if (claimed := sum(array.nbytes for array in arrays)) > MOST_BYTES:
+        raise ValueError(f"it unpacks to {claimed} bytes, more than {MOST_BYTES}")
+    return {"groups": listed, "remarks": [str(remark)[:500] for remark in remarks]}, arrays
 
 
 PARSERS: dict[str, Any] = {"hdf5": hdf5} | {
-    name: lambda data, *limits, parsed=parsed: _described(*parsed(data), *limits)
-    for name, parsed in {"dataflash": dataflash, "mdf": mdf4, "ulog": ulog}.items()
+    name: lambda data, parser=parser: groups_of(parser(data))
+    for name, parser in {"dataflash": dataflash, "mdf": mdf4, "ulog": ulog}.items()
 }
 
 
@@ -326,18 +286,15 @@ def main():
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     warnings.simplefilter("ignore")
     arrays: list = []
-    out = sys.stdout.buffer
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):  # some of them print what they think of the file
         try:
             reply, arrays = PARSERS[sys.argv[1]](sys.stdin.buffer.read(), *json.loads(sys.argv[2]))
             arrays = [x.astype(x.dtype.newbyteorder("="), copy=False) for x in arrays]  # as this machine has it
-            reply["arrays"] = [(x.dtype.str, x.size) for x in arrays]
         except Exception as reason:
             reply = {"error": " ".join(str(reason).split())[:120] or type(reason).__name__}
-    out.write(json.dumps(reply).encode() + b"\n")
-    for array in arrays:
-        out.write(array.tobytes())
-    out.flush()
+    out = io.BytesIO()
+    np.savez(out, *arrays, reply=json.dumps(reply))
+    sys.stdout.buffer.write(out.getbuffer())
 
 
 if __name__ == "__main__":
