@@ -177,11 +177,13 @@ NODES, AHEAD, WEIGHTS = (0.0, 0.5, 0.5, 1.0), (0.5, 0.5, 1.0, 0.0), (1.0, 2.0, 2
 Channels = Mapping[str, Any]
 
 
-def later(inputs: Channels, held: bool = False) -> dict[str, Array]:
-    """Inputs one sample later, the last one repeated; the same inputs where they are `held`. Samples: last axis."""
+def later(inputs: Channels, held: bool = False, axis: int = -1) -> dict[str, Array]:
+    """Inputs one sample later, the last one repeated; the same inputs where they are `held`. Samples: along `axis`."""
     if held:
         return dict(inputs)
-    return {name: jnp.concatenate([x[..., 1:], x[..., -1:]], axis=-1) for name, x in inputs.items()}
+    after = lambda x: jax.lax.slice_in_dim(x, 1, None, axis=axis)  # noqa: E731
+    last = lambda x: jax.lax.slice_in_dim(x, x.shape[axis] - 1, None, axis=axis)  # noqa: E731
+    return {name: jnp.concatenate([after(x), last(x)], axis=axis) for name, x in inputs.items()}
 
 
 def between(now: Channels, then: Channels, share: Any) -> dict[str, Any]:
@@ -258,8 +260,7 @@ def _along(
     shares, then = stage_table(substeps)[0], later(inputs, held)
     at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731
     u = at(inputs, then)  # m w n
-    t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
-    t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first, held)).items()}  # m w n d
+    t_u = at(t_inputs, later(t_inputs, held, axis=1))  # m w n d
     points = stage_points(system, x, inputs, then, dt, substeps)[0]
     read = tuple(name for name in outputs if name not in system.state_outputs)
     moved = jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None)

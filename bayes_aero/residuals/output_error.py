@@ -15,8 +15,8 @@ from jaxtyping import Array, Float, Int
 
 from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.innovations import (
-    InputDerivatives,
+from bayes_aero.dynamics.kalman import (
+    Filtered,
     Observed,
     Observer,
     StateDerivatives,
@@ -28,7 +28,6 @@ from bayes_aero.dynamics.innovations import (
     run_observer,
     state_derivatives,
 )
-from bayes_aero.dynamics.kalman import Filtered
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare, segments, simulate
 from bayes_aero.dynamics.system import motion
 from bayes_aero.effect import Effect, Example, Kind, Stage
@@ -403,7 +402,7 @@ def _innovation_slopes(
     responses: FilterError,
     theta: Any,
     by_state: StateDerivatives,
-    by_input: InputDerivatives,
+    by_input: tuple[Array, Array],
     series: Float[Array, "2 d n"],
 ) -> Float[Array, "m c d"]:
     flown = responses.flown
