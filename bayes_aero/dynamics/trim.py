@@ -373,54 +373,40 @@ def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: fl
     if not np.all(np.isfinite(A)):
         raise InputError("the equations of motion are not finite about steady flight; check the card's constants")
     kept = [k for k, n in enumerate(states) if n not in WITHOUT_FORCE]
-    own = [states[k] for k in kept]
+    moving = [states[k] for k in kept]
     eigenvalues, vectors = np.linalg.eig(np.asarray(A, float)[np.ix_(kept, kept)])
-    scale = np.array([1.0 / airspeed if n in ("airspeed", "u", "w") else 1.0 for n in own])
-    named = []
-    for value, vector in zip(eigenvalues, vectors.T, strict=True):
-        if value.imag >= 0.0:
-            named.append((complex(value), dict(zip(own, np.abs(vector) * scale, strict=True))))
-    named.sort(key=lambda pair: -abs(pair[0]))
-    lateral = [one for one in named if _share(one[1], LATERAL) > 0.5]
-    rest = [one for one in named if _share(one[1], LATERAL) <= 0.5]
-    return (*_longitudinal(rest), *_lateral(lateral, own))
+    scale = np.array([1.0 / airspeed if n in ("airspeed", "u", "w") else 1.0 for n in moving])
+    power = np.square(np.abs(vectors) * scale[:, None])
+    power = power / power.sum(axis=0)
 
+    def share(k: int, names: Sequence[str]) -> float:
+        """Of these states in the motion of mode k."""
+        return float(power[np.isin(moving, names), k].sum())
 
-Eigenmotions = list[tuple[complex, dict[str, float]]]
-
-
-def _share(motion: Mapping[str, float], names: Sequence[str]) -> float:
-    return sum(motion.get(n, 0.0) ** 2 for n in names) / sum(x**2 for x in motion.values())
-
-
-def _longitudinal(found: Eigenmotions) -> list[MotionMode]:
-    """The faster oscillation is the short period, the slower one the phugoid. A single one is the short period if alpha
-    varies more than speed."""
-    oscillations = [k for k, (value, _) in enumerate(found) if value.imag > 0.0]
-    both = dict(zip(oscillations, (SHORT_PERIOD, PHUGOID), strict=False)) if len(oscillations) > 1 else {}
-    named = []
-    for k, (value, motion) in enumerate(found):
-        name = SHORT_PERIOD if _share(motion, HEAVES) >= _share(motion, SPEEDS) else PHUGOID
-        longitudinal = _share(motion, LONGITUDINAL) > 0.5
-        aperiodic = "" if value.imag > 0.0 else ", aperiodic"
-        named.append(MotionMode(both.get(k, f"{name}{aperiodic}" if longitudinal else OTHER), value))
-    return named
-
-
-def _lateral(found: Eigenmotions, states: Sequence[str]) -> list[MotionMode]:
-    """The oscillation with most sideslip is the Dutch roll; the fastest aperiodic mode is the roll mode. Without
-    sideslip there is neither a Dutch roll nor a spiral, without bank no spiral."""
-    oscillations = sorted((one for one in found if one[0].imag > 0.0), key=lambda one: -_share(one[1], ("beta",)))
-    aperiodic = [one for one in found if one[0].imag == 0.0]
-    names = (DUTCH_ROLL, "lateral phugoid") if "beta" in states else ()
-    named = [MotionMode(names[k] if k < len(names) else OTHER, value) for k, (value, _) in enumerate(oscillations)]
-    first = min(aperiodic, key=lambda one: -_share(one[1], ("p",))) if "beta" not in states and aperiodic else None
-    roll = first or (aperiodic[0] if aperiodic else None)
-    spiral = aperiodic[-1] if {"beta", "phi"} <= set(states) and len(aperiodic) > 1 else None
-    for one in aperiodic:
-        name = ROLL if one is roll and "p" in states else SPIRAL if one is spiral else OTHER
-        named.append(MotionMode(name, one[0]))
-    return named
+    order = sorted(np.flatnonzero(eigenvalues.imag >= 0.0), key=lambda k: -abs(eigenvalues[k]))
+    oscillates = eigenvalues.imag > 0.0
+    names = {}
+    plane = [k for k in order if share(k, LATERAL) <= 0.5]
+    # The faster oscillation is the short period. A single one is it if alpha varies more than speed.
+    oscillations = [k for k in plane if oscillates[k]]
+    for k in plane:
+        name = SHORT_PERIOD if share(k, HEAVES) >= share(k, SPEEDS) else PHUGOID
+        names[k] = f"{name}{'' if oscillates[k] else ', aperiodic'}" if share(k, LONGITUDINAL) > 0.5 else OTHER
+    if len(oscillations) > 1:
+        names |= dict(zip(oscillations, (SHORT_PERIOD, PHUGOID), strict=False))
+    # The oscillation with most sideslip is the Dutch roll, the fastest aperiodic mode the roll mode. Without sideslip
+    # there is neither a Dutch roll nor a spiral, without bank no spiral.
+    lateral = [k for k in order if k not in names]
+    oscillations = sorted((k for k in lateral if oscillates[k]), key=lambda k: -share(k, ("beta",)))
+    aperiodic = [k for k in lateral if not oscillates[k]]
+    names |= dict.fromkeys(lateral, OTHER)
+    if "beta" in moving:
+        names |= dict(zip(oscillations, (DUTCH_ROLL, "lateral phugoid"), strict=False))
+    if {"beta", "phi"} <= set(moving) and len(aperiodic) > 1:
+        names[aperiodic[-1]] = SPIRAL
+    if "p" in moving and aperiodic:
+        names[aperiodic[0] if "beta" in moving else max(aperiodic, key=lambda k: share(k, ("p",)))] = ROLL
+    return tuple(MotionMode(names[k], complex(eigenvalues[k])) for k in (*plane, *oscillations, *aperiodic))
 
 
 @eqx.filter_jit

@@ -89,9 +89,9 @@ def simulate_stall(
         disturbance=disturbance * increments,
     )
     alpha = float(pilot.alpha[0])
-    flight = fly(model, TRUTH, card.aircraft, pilot, FlightState(95.0, alpha, alpha, 0.0, 5200.0), DT)
-    half = np.asarray(pilot.thrust) / 2
-    flown = {name: np.asarray(flight[name]) for name in RECORDED} | {"thrust_left": half, "thrust_right": half}
+    start = FlightState(95.0, alpha, alpha, 0.0, 5200.0)
+    (flight,) = fly(model, TRUTH, card.aircraft, [pilot], [start], DT)
+    flown = {name: flight[name] for name in (*RECORDED, "thrust_left", "thrust_right")}
     channels = {
         name: x + sensor_noise * card.sensors.get(name, 0.0) * rng.standard_normal(len(time))
         for name, x in flown.items()

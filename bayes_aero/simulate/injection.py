@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any, TypeAlias
 
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import LinearOperator, lsmr
 
-from bayes_aero.dynamics.pilot import FlightState, Pilot, fly, fly_rigid, fly_together, standard_pilots
+from bayes_aero.dynamics.pilot import FlightState, Pilot, fly, standard_pilots
 from bayes_aero.dynamics.trim import (
     SIGNALS,
     Condition,
@@ -61,53 +61,51 @@ class Beyond:
     draw: Callable[[np.random.Generator], Mapping[str, float]]
 
 
+NOTHING_BEYOND = Beyond((), lambda _: {})
+
+
 @dataclass(frozen=True)
-class _Setting:
-    seed: int
-    manoeuvres: int
-    noise: str
-    rho: float | None
-    card: Card
-    sensor_noise: float
-    disturbance: float
-    seconds: float | None
-    beyond: tuple[Effect, ...]
-
-
-def hidden_records(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[FlightRecord]:
-    """Records alone of `hidden_flights`, which explains the options."""
-    return [flight.record for flight in hidden_flights(effects, seed=seed, **options)]
-
-
-def hidden_flights(
-    effects: Mapping[str, Mapping[str, float]],
-    *,
-    seed: int,
-    manoeuvres: int = 2,
-    noise: str = "ar1",
-    rho: float | None = None,
-    card: Card | None = None,
-    sensor_noise: float = 1.0,
-    disturbance: float = 1.0,
-    beyond: Beyond | None = None,
-    seconds: float | None = None,
-) -> list[HiddenFlight]:
-    """Random stall manoeuvres of an aircraft near the demo's, in which `effects` (by name, true values) are hidden.
+class Setting:
+    """How effects are hidden.
 
     `noise`: sensor noise alone (`white`); with autoregressive coefficient disturbances (`ar1`; lag-1 correlation `rho`,
     drawn from 0.5 to 0.98 where not given); the same growing with 1 - X (`buffet`); or sensor noise with spikes of ten
     standard deviations on accelerations and pitch rate (`outliers`). `sensor_noise` and `disturbance` scale them.
-    `beyond` adds effects of no catalogue. Manoeuvre k of a seed is flown with the same commands and draws whatever is
-    hidden, unless the flight leaves its envelope: then all are drawn anew, and after the third time `InputError` says
-    that the aircraft cannot be flown so. `seconds` (at most 100) sets the manoeuvres' length; below 90 they break off.
+    `beyond` adds effects of no catalogue. `seconds` (at most 100) sets the manoeuvres' length; below 90 they break off.
     """
-    if noise not in NOISES:
-        raise InputError(f"there is no noise {noise!r}; use one of {', '.join(NOISES)}")
-    if seconds is not None and not 1.0 <= seconds <= demo.LONGEST:
-        raise InputError(f"a simulated manoeuvre of {seconds} s was asked for; ask for 1 to {demo.LONGEST:.0f} s")
-    besides, card = () if beyond is None else beyond.effects, card or read_card("attas")
-    truth = _values(effects, np.random.default_rng([seed, 1]), beyond)
-    setting = _Setting(seed, manoeuvres, noise, rho, card, sensor_noise, disturbance, seconds, besides)
+
+    manoeuvres: int = 2
+    noise: str = "ar1"
+    rho: float | None = None
+    card: Card = field(default_factory=lambda: read_card("attas"))
+    sensor_noise: float = 1.0
+    disturbance: float = 1.0
+    beyond: Beyond = NOTHING_BEYOND
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.noise not in NOISES:
+            raise InputError(f"there is no noise {self.noise!r}; use one of {', '.join(NOISES)}")
+        if self.seconds is not None and not 1.0 <= self.seconds <= demo.LONGEST:
+            raise InputError(
+                f"a simulated manoeuvre of {self.seconds} s was asked for; ask for 1 to {demo.LONGEST:.0f} s"
+            )
+
+
+def hidden_records(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[FlightRecord]:
+    """Records alone of `hidden_flights`; `options` are those of `Setting`."""
+    return [flight.record for flight in hidden_flights(effects, seed=seed, **options)]
+
+
+def hidden_flights(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[HiddenFlight]:
+    """Random stall manoeuvres of an aircraft near the demo's, in which `effects` (by name, true values) are hidden.
+
+    `options` are those of `Setting`. Manoeuvre k of a seed is flown with the same commands and draws whatever is
+    hidden, unless the flight leaves its envelope: then all are drawn anew, and after the third time `InputError` says
+    that the aircraft cannot be flown so.
+    """
+    setting = Setting(**options)
+    truth = _values(effects, np.random.default_rng([seed, 1]), setting.beyond)
     failure = InputError("")
     for attempt in range(3):
         try:
@@ -118,10 +116,10 @@ def hidden_flights(
 
 
 def _flights(
-    effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: _Setting
+    effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: Setting
 ) -> list[HiddenFlight]:
     card = setting.card
-    model, misrecording, propulsion = _models(setting.beyond)
+    model, misrecording, propulsion = _models(setting.beyond.effects)
     aircraft = model.actual_aircraft(values, card.aircraft)
     moved = demo.moved_by(_known(name) for name in effects)
     rngs = [np.random.default_rng([*seed, number]) for number in range(setting.manoeuvres)]
@@ -137,11 +135,10 @@ def _flights(
         starts.append(FlightState(speed, alpha, alpha, 0.0, height))
     time = demo.flight_time()
     marks = plain_marks(demo.SAMPLES, demo.DT, 0) | {"elapsed": time}  # from the first sample of the record
-    commanded = [{"thrust": pilot.thrust} for pilot in pilots]
-    thrust = [corrected(propulsion, values, x, marks, card.aircraft)["thrust"] for x in commanded]
+    thrust = [corrected(propulsion, values, {"thrust": p.thrust}, marks, card.aircraft)["thrust"] for p in pilots]
     flying = [pilot._replace(thrust=x) for pilot, x in zip(pilots, thrust, strict=True)]
     flights = []
-    for number, everything in enumerate(fly_together(model, values, aircraft, flying, starts, demo.DT)):
+    for number, everything in enumerate(fly(model, values, aircraft, flying, starts, demo.DT)):
         kept = slice(demo.MARGIN, demo.MARGIN + lengths[number])
         flown = {key: x[kept] for key, x in everything.items()}
         if left := ENVELOPE.left_by(excursion(flown)):
@@ -151,18 +148,15 @@ def _flights(
             )
         # a flight that breaks down after what is kept holds its last value: filters would spread NaN
         true = {key: np.where(np.isfinite(everything[key]), everything[key], flown[key][-1]) for key in FLOWN}
-        rec = misrecorded(misrecording, values, true | commanded[number], marks, card.aircraft)
+        true["thrust"] = pilots[number].thrust  # as it is commanded
+        rec = misrecorded(misrecording, values, true, marks, card.aircraft)
         rec = {key: x[kept] for key, x in rec.items()}
         channels = sensed(rngs[number], rec, card, setting.sensor_noise, setting.noise == "outliers")
-        name = f"hidden_{setting.seed}_{number + 1}"
-        flights.append(
-            HiddenFlight(
-                FlightRecord.from_arrays(name, time[kept], channels, "simulated with hidden effects"),
-                {key: flown[key] for key in FLOWN},
-                {key: flown[key] for key in ("CL", "CD", "Cm", "X", "alpha_dot")},
-                {key: float(x) for key, x in values.items()},
-            )
-        )
+        name = f"hidden_{seed[0]}_{number + 1}"
+        record = FlightRecord.from_arrays(name, time[kept], channels, "simulated with hidden effects")
+        built = {key: flown[key] for key in ("CL", "CD", "Cm", "X", "alpha_dot")}
+        truth = {key: float(x) for key, x in values.items()}
+        flights.append(HiddenFlight(record, {key: flown[key] for key in FLOWN}, built, truth))
     return flights
 
 
@@ -220,11 +214,9 @@ def _models(beyond: tuple[Effect, ...]) -> tuple[Model, Model, Model]:
     )
 
 
-def _values(
-    effects: Mapping[str, Mapping[str, float]], rng: np.random.Generator, beyond: Beyond | None
-) -> dict[str, Any]:
+def _values(effects: Mapping[str, Mapping[str, float]], rng: np.random.Generator, beyond: Beyond) -> dict[str, Any]:
     """All parameters: neutral, the base aircraft's drawn around the demo's, then what is hidden."""
-    values = {p.name: p.neutral for p in _models(() if beyond is None else beyond.effects)[0].parameters}
+    values = {p.name: p.neutral for p in _models(beyond.effects)[0].parameters}
     for name, x in demo.TRUTH.items():
         values[name] = x * (1.0 + rng.uniform(-1.0, 1.0) * demo.SPREAD.get(name, demo.USUAL_SPREAD))
     for name, given in effects.items():
@@ -236,8 +228,7 @@ def _values(
         if not set(given) <= names:
             raise InputError(f"effect {name} has the parameters {', '.join(sorted(names))}, not {', '.join(given)}")
         values |= given
-    if beyond is not None:
-        values |= beyond.draw(rng)
+    values |= beyond.draw(rng)
     return {name: np.float64(x) for name, x in values.items()}
 
 
@@ -300,12 +291,7 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
     engines = Model.of([e for e in faults if e.kind is Kind.PROPULSION], axes=axes)
     if engines.effects:
         pilot = pilot._replace(thrust=corrected(engines, values, commanded, marks, card.aircraft)["thrust"])
-    if isinstance(start, RigidTrim):
-        flight = fly_rigid(flown_model, values, aircraft, pilot, start, request.dt)
-        flight |= {"aileron_left": -flight["aileron"], "aileron_right": flight["aileron"]}
-    else:
-        flight = fly(flown_model, values, aircraft, pilot, start, request.dt)
-    flight = {key: np.asarray(x) for key, x in flight.items()}
+    (flight,) = fly(flown_model, values, aircraft, [pilot], [start], request.dt)
     if left := WIDER_ENVELOPE.left_by(excursion({key: x[in_record] for key, x in flight.items()})):
         raise InputError(
             f"{request.manoeuvre} with {', '.join(request.effects) or 'no effect'} leaves the envelope: {left}; make "
@@ -427,20 +413,14 @@ class _Correction(eqx.Module):
         true = self.model.corrected(self.values, channels | self.marks, self.aircraft)
         return jnp.stack([true[name] for name in self.names]) / self.scale[:, None]
 
-    @eqx.filter_jit
-    def forward(self, x: Float[Array, "k n"], change: Float[Array, "k n"]) -> Float[Array, "k n"]:
-        """Derivative at `x` times `change`."""
-        return jax.jvp(self, (x,), (change,))[1]
-
-    @eqx.filter_jit
-    def backward(self, x: Float[Array, "k n"], weight: Float[Array, "k n"]) -> Float[Array, "k n"]:
-        """Transposed derivative at `x` times `weight`."""
-        return jax.vjp(self, x)[1](weight)[0]
-
     def derivative(self, x: Float[Array, "k n"]) -> LinearOperator:
         """The derivative at `x`, on vectors."""
-        on = lambda product: lambda v: np.asarray(product(x, jnp.asarray(v.reshape(x.shape)))).ravel()  # noqa: E731
-        return LinearOperator((x.size,) * 2, matvec=on(self.forward), rmatvec=on(self.backward), dtype=np.float64)  # pyright: ignore[reportCallIssue]
+        on = lambda product: lambda v: np.asarray(product(self, x, jnp.asarray(v.reshape(x.shape)))).ravel()  # noqa: E731
+        return LinearOperator((x.size,) * 2, matvec=on(_forward), rmatvec=on(_backward), dtype=np.float64)  # pyright: ignore[reportCallIssue]
+
+
+_forward = eqx.filter_jit(lambda correction, x, change: jax.jvp(correction, (x,), (change,))[1])
+_backward = eqx.filter_jit(lambda correction, x, weight: jax.vjp(correction, x)[1](weight)[0])
 
 
 def corrected(

@@ -187,7 +187,7 @@ def stall(card):
         phi=jnp.asarray(phi),
         beta=jnp.asarray(beta),
     )
-    flight = fly(model, values(), card.aircraft, p, state(95, np.deg2rad(6), np.deg2rad(6), h=5200), DT)
+    flight = fly(model, values(), card.aircraft, [p], [state(95, np.deg2rad(6), np.deg2rad(6), h=5200)], DT)[0]
     return {name: jnp.asarray(x) for name, x in flight.items()}
 
 
@@ -207,7 +207,7 @@ def test_steady_level_turn(card, degrees):
     gyro = (a.Iz - a.Ix) * body[0] * body[2] + a.Ixz * (body[2] ** 2 - body[0] ** 2)
     values = bare(CL=a.mass * GRAVITY / np.cos(bank) / qS, Cm=-gyro / (qS * a.chord))
     start = state(V, alpha, theta, body[1])
-    out = fly(Model.of([BARE]), values, a, pilot(50, phi=jnp.full(50, phi)), start, DT)
+    out = fly(Model.of([BARE]), values, a, [pilot(50, phi=jnp.full(50, phi))], [start], DT)[0]
     for name, value in (("airspeed", V), ("alpha", alpha), ("theta", theta), ("q", body[1]), ("altitude", h)):
         np.testing.assert_allclose(out[name], value, rtol=1e-9, err_msg=name)
     for name, value in (("p", body[0]), ("r", body[2]), ("psi_dot", turn), ("ay", 0.0)):
@@ -336,7 +336,7 @@ def test_peaks_are_small_and_the_signal_begins_at_zero(controls, least):
         assert np.max(np.abs(signal)) == pytest.approx(1.0, abs=1e-2)
 
 
-def test_multisines_of_the_standard_manoeuvre_and_of_a_narrow_band():
+def test_multisines_of_the_standard_manoeuvre():
     assert peak_factor(np.sin(2.0 * np.pi * np.arange(1000) / 1000.0)) == pytest.approx(1.0, rel=1e-6)
     time = np.arange(0.0, SECONDS, DT)
     signals = multisine_inputs(time, 3)
@@ -344,5 +344,3 @@ def test_multisines_of_the_standard_manoeuvre_and_of_a_narrow_band():
     np.testing.assert_allclose(one, two, atol=1e-9)
     assert not np.any(signals[:, time < 5.0 - DT / 2])
     assert not np.any(signals[:, time > 55.0 - DT / 2])
-    with pytest.raises(InputError, match=r"1 multiples of 1/25 s, and 1 multisines need 2 above zero; widen the band"):
-        multisines(ONE_PERIOD, PERIOD, (0.1, 0.12), 1)
