@@ -584,6 +584,7 @@ class Observer(NamedTuple):
     whitening: Float[Array, "w n c c"]
 
 
+@eqx.filter_jit
 def observer_of(
     flown: SegmentTrajectories, theta: Float[Array, " k"], R: Float[Array, " c"], filtered: Filtered
 ) -> Observer:

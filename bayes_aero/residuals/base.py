@@ -31,6 +31,7 @@ class ResidualModel(ABC):
     model: Model
     stage: ClassVar[str]  # with what the model is compared
     white: ClassVar[bool] = False  # of a correct model, sample by sample
+    averaged: ClassVar[int] = FILTER_STEP  # samples of which each residual is the mean
     kinematic: ClassVar[bool] = False  # the flight path alone: of its errors the coefficients say what they make worse
 
     def with_channels(self, channels: Mapping[str, AnyArray]) -> ResidualModel:
@@ -72,11 +73,6 @@ class ResidualModel(ABC):
     def parts(self) -> Int[np.ndarray, " m"]:
         """The part of each block, by which terms are judged as one is left out; all one where the colour tells."""
         return self.stretch
-
-    @property
-    def averaged(self) -> int:
-        """Samples of which each residual is the mean."""
-        return FILTER_STEP
 
     def separated(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " m"]:
         """Separated share of the flow, 1 - X, of each block, with which noise grows."""
@@ -122,8 +118,11 @@ class ResidualModel(ABC):
         """`slopes` at these parameters as a function of the directions."""
         return lambda directions: self.slopes(theta, directions)
 
-    def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
-        """Residuals under series that are added to the coefficients, at fixed parameters."""
+    def added(self, theta: Float[np.ndarray, " k"]) -> Any:
+        """What residuals make, to first order, of series that are added to the coefficients, at fixed parameters."""
+        # `signals` of the flow, X and the marks, each (n,), of which the series are functions; `columns(coefficient,
+        # made, outputs, deviation)`: the series as residuals show them (d, t), their columns (d, m, c), and the size of
+        # each beside this deviation of the outputs, (d,).
         raise NotImplementedError  # of the flight path, which has no coefficients
 
     def linearise(
@@ -131,37 +130,17 @@ class ResidualModel(ABC):
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
         """Residuals, measured minus modelled, and minus their derivatives by `columns`."""
         indices = np.arange(len(theta)) if columns is None else np.asarray(columns)
-        residual, S, slopes = None, None, self.slopes_at(theta)
-        size = DIRECTIONS_PER_CALL
-        places = [np.arange(i, min(i + size, len(indices))) for i in range(0, len(indices), size)]
-        for place in places or [np.arange(0)]:
-            directions = np.zeros((size, len(theta)))
-            directions[np.arange(len(place)), indices[place]] = 1.0
-            residual, slope = slopes(directions)
-            S = np.empty((*residual.shape, len(indices))) if S is None else S
-            S[:, :, place] = np.moveaxis(slope[: len(place)], 0, 2)
-        assert residual is not None
-        assert S is not None
-        return residual, S
+        slopes, size = self.slopes_at(theta), DIRECTIONS_PER_CALL
+        directions = np.zeros((max(-(-len(indices) // size), 1) * size, len(theta)))
+        directions[np.arange(len(indices)), indices] = 1.0
+        parts = [slopes(part) for part in np.split(directions, len(directions) // size)]
+        S = np.concatenate([slope for _, slope in parts])[: len(indices)]
+        return parts[0][0], np.ascontiguousarray(np.moveaxis(S, 0, 2))
 
 
 Signals = Mapping[str, Any]
 Made = Callable[[Signals], Float[np.ndarray, "d n"]]
 """Functions of the flight: d series of one value for every sample, from its signals."""
-
-
-class AddedSeries(ABC):
-    """What residuals make, to first order, of series that are added to a coefficient."""
-
-    @abstractmethod
-    def signals(self) -> Mapping[str, AnyArray]:
-        """Signals of the flow, X and the marks, each (n,), of which the series are functions."""
-
-    @abstractmethod
-    def columns(
-        self, coefficient: str, made: Made, outputs: Sequence[str], deviation: Float[np.ndarray, " c"]
-    ) -> tuple[Float[np.ndarray, "d t"], Float[np.ndarray, "d m c"], Float[np.ndarray, " d"]]:
-        """The series as residuals show them, their columns, and the size of each beside this `deviation`."""
 
 
 class Blockwise(ResidualModel):
@@ -187,12 +166,9 @@ class Blockwise(ResidualModel):
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
         """A constant for each manoeuvre and flight-path output: the initial value of the integral."""
-        manoeuvre = self.manoeuvre
-        path = [c for c, name in enumerate(outputs) if name not in self.model.coefficients]
-        S = np.zeros((len(manoeuvre), len(outputs), (int(manoeuvre[-1]) + 1) * len(path)))
-        for place, (k, c) in enumerate((k, c) for k in range(int(manoeuvre[-1]) + 1) for c in path):
-            S[manoeuvre == k, c, place] = 1.0
-        return S
+        own = self.manoeuvre[:, None] == np.arange(self.manoeuvre[-1] + 1)  # m k
+        path = np.eye(len(outputs))[:, [c for c, name in enumerate(outputs) if name not in self.model.coefficients]]
+        return np.einsum("mk,cp->mckp", own, path).reshape(len(own), len(outputs), -1)
 
 
 # --- Windows of output error, between which the scatter tests effects where there are no accelerometers.

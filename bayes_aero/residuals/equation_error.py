@@ -31,14 +31,7 @@ from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import LiftRegression, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
 from bayes_aero.physics.kinematics import LATERAL, PATH
-from bayes_aero.residuals.base import (
-    AddedSeries,
-    Blockwise,
-    Made,
-    ResidualModel,
-    differences,
-    flight_path,
-)
+from bayes_aero.residuals.base import Blockwise, Made, ResidualModel, differences, flight_path
 from bayes_aero.units import number
 
 DIRECTIONS_AT_ONCE = 4  # most calls need no more, and larger ones are no slower
@@ -95,7 +88,7 @@ class EquationError(Blockwise, eqx.Module):
         begins[: len(first)] = first
         return _Padded(replace(self, flights=padded), regression, begins)
 
-    def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
+    def added(self, theta: Float[np.ndarray, " k"]) -> _AddedToEquations:
         return _AddedToEquations(self, theta)
 
     def linearise(
@@ -131,63 +124,45 @@ class _Padded(NamedTuple):
         return means.at[self.begins].get(mode="promise_in_bounds")  # a fifth of what is gathered sample by sample
 
 
-class _Signals:
-    """Corrected signals of all flights, the aircraft with its corrected constants, and scales of the response."""
+def _corrected(padded: _Padded, values: Mapping[str, Any]):
+    """Corrected signals of all flights, the aircraft with its corrected constants, and the factors (n, c) that convert
+    residuals of coefficients to units of the recorded response."""
+    f, model = padded.responses.flights, padded.responses.model
+    s = f.with_slopes(model.corrected(values, f.channels, f.aircraft), padded.regression)
+    aircraft, lateral = model.actual_aircraft(values, f.aircraft), Axis.LATERAL in model.axes
+    response = tuple(dict.fromkeys((*RESPONSE, *(LATERAL_RESPONSE if lateral else ()))))
+    scales = response_scales(model, values, f.channels, f.aircraft, response)
+    recorded = f.channels["density"] * jnp.square(f.channels["airspeed"])
+    ratio = s["density"] * jnp.square(s["airspeed"]) / recorded
+    force = ratio * (f.aircraft.mass / aircraft.mass)
+    factors = {"CL": force, "CD": force, "Cm": ratio * (f.aircraft.Iy / aircraft.Iy) / scales["q"]}
+    if lateral:
+        roll = ratio * (f.aircraft.Ix / aircraft.Ix) / scales["p"]
+        yaw = ratio * (f.aircraft.Iz / aircraft.Iz) / scales["r"]
+        factors |= {"CY": force / scales["ay"], "Cl": roll, "Cn": yaw}
+    return s, aircraft, scales, jnp.stack([factors[name] for name in model.coefficients], axis=-1)
 
-    def __init__(self, padded: _Padded, values: Mapping[str, Any]) -> None:
-        responses = padded.responses
-        f, model = responses.flights, responses.model
-        self.responses = responses
-        self.signals = f.with_slopes(model.corrected(values, f.channels, f.aircraft), padded.regression)
-        self.aircraft = model.actual_aircraft(values, f.aircraft)
-        response = dict.fromkeys((*RESPONSE, *(LATERAL_RESPONSE if Axis.LATERAL in model.axes else ())))
-        self.scales = response_scales(model, values, f.channels, f.aircraft, tuple(response))
 
-    def modelled(self, values: Mapping[str, Any]) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
-        """Coefficients of the model, and the separation point."""
-        flow = self.responses.model.flow(values, self.signals, self.aircraft)
-        return jnp.stack([flow[name] for name in self.responses.model.coefficients], axis=-1), flow["X"]
-
-    @property
-    def factors(self) -> Float[Array, "n c"]:
-        """Those that convert residuals of coefficients to units of the recorded response."""
-        f, aircraft, scales = self.responses.flights, self.aircraft, self.scales
-        pressure = self.signals["density"] * jnp.square(self.signals["airspeed"])
-        nominal = f.channels["density"] * jnp.square(f.channels["airspeed"])
-        ratio = pressure / nominal
-        force = ratio * (f.aircraft.mass / aircraft.mass)
-        pitch = ratio * (f.aircraft.Iy / aircraft.Iy) / scales["q"]
-        factors = {"CL": force, "CD": force, "Cm": pitch}
-        if Axis.LATERAL in self.responses.model.axes:
-            roll = ratio * (f.aircraft.Ix / aircraft.Ix) / scales["p"]
-            yaw = ratio * (f.aircraft.Iz / aircraft.Iz) / scales["r"]
-            factors |= {"CY": force / scales["ay"], "Cl": roll, "Cn": yaw}
-        return jnp.stack([factors[name] for name in self.responses.model.coefficients], axis=-1)
+def _modelled(model: Model, values: Mapping[str, Any], s: Mapping[str, Any], aircraft: Any) -> tuple[Array, Array]:
+    """Coefficients (n, c) of the model, and the separation point (n,)."""
+    flow = model.flow(values, s, aircraft)
+    return jnp.stack([flow[name] for name in model.coefficients], axis=-1), flow["X"]
 
 
 @dataclass(frozen=True)
-class _AddedToEquations(AddedSeries):
+class _AddedToEquations:
     """Series smoothed and averaged over blocks as the coefficient is; a column is as large as its root mean square."""
 
     responses: EquationError
     theta: Float[np.ndarray, " k"]
 
-    def signals(self) -> Mapping[str, np.ndarray]:
-        return self._signals
-
     @cached_property
-    def _signals(self) -> Mapping[str, np.ndarray]:
+    def signals(self) -> Mapping[str, np.ndarray]:
         return self.responses.evaluate(self.theta)[1]
 
-    def columns(
-        self,
-        coefficient: str,
-        made: Made,
-        outputs: Sequence[str],
-        deviation: Float[np.ndarray, " c"],  # noqa: ARG002
-    ) -> tuple[Float[np.ndarray, "d t"], Float[np.ndarray, "d m c"], Float[np.ndarray, " d"]]:
+    def columns(self, coefficient: str, made: Made, outputs: Sequence[str], _deviation: Float[np.ndarray, " c"]):
         ends = tuple(np.asarray(self.responses.flights.channels[name]) for name in ("first", "last"))
-        raw = np.stack([smooth_joined(x, *ends) for x in made(self.signals())], axis=1)
+        raw = np.stack([smooth_joined(x, *ends) for x in made(self.signals)], axis=1)
         series = np.asarray(self.responses.block(raw)).T
         slopes = np.zeros((*series.shape, len(outputs)))
         slopes[:, :, outputs.index(coefficient)] = series
@@ -203,17 +178,17 @@ def _residuals(padded: _Padded, theta):
     responses = padded.responses
     f, model = responses.flights, responses.model
     values = model.values(theta)
-    own = _Signals(padded, values)
-    measured = stacked_coefficients(own.signals, own.aircraft, model.coefficients)
-    modelled, X = own.modelled(values)
-    columns = [(measured - modelled) * own.factors]
+    signals, aircraft, scales, factors = _corrected(padded, values)
+    measured = stacked_coefficients(signals, aircraft, model.coefficients)
+    modelled, X = _modelled(model, values, signals, aircraft)
+    columns = [(measured - modelled) * factors]
     if responses.path:
-        columns.append(differences(responses.path, own.signals, own.aircraft, own.scales))
+        columns.append(differences(responses.path, signals, aircraft, scales))
     residual = _smoothed(f, jnp.concatenate(columns, axis=1))
     both = _smoothed(f, jnp.concatenate([measured, modelled], axis=1))
     c = len(model.coefficients)
     details = {"X": X, "measured": both[:, :c], "modelled": both[:, c:], "residual": residual}
-    return padded.block(residual), {**own.signals, **details}
+    return padded.block(residual), {**signals, **details}
 
 
 _evaluate = eqx.filter_jit(_residuals)
@@ -226,9 +201,8 @@ def _linearise(padded: _Padded, theta, measuring, flowing):
     residual, slope = jax.linearize(lambda t: _residuals(padded, t)[0], theta)
     whole = _along(lambda d: -slope(d), measuring)
     f, model = padded.responses.flights, padded.responses.model
-    own = _Signals(padded, model.values(theta))
-    factors = own.factors
-    _, change = jax.linearize(lambda t: own.modelled(model.values(t))[0] * factors, theta)
+    signals, aircraft, _, factors = _corrected(padded, model.values(theta))
+    _, change = jax.linearize(lambda t: _modelled(model, model.values(t), signals, aircraft)[0] * factors, theta)
     coefficients = _along(lambda d: padded.block(_smoothed(f, change(d))), flowing)
     return residual, whole, coefficients
 

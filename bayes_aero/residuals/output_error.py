@@ -37,7 +37,6 @@ from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.residuals.base import (
     DIRECTIONS_PER_CALL,
     WINDOW,
-    AddedSeries,
     Made,
     ResidualModel,
 )
@@ -119,15 +118,10 @@ class OutputError(ResidualModel, eqx.Module):
         parts = np.split(directions, len(directions) // DIRECTIONS_PER_CALL)  # by the program of `slopes`
         slopes = [_slopes(self.nameless, *map(jnp.asarray, (theta, rest, part)))[1] for part in parts]
         slope = -np.concatenate(slopes)[:states][:, :, keep]  # s m c
-        window = self.stretch
-        s, m, c = slope.shape
-        S = np.zeros((m, c, len(self.windows.index) * s))
-        for w in range(len(self.windows.index)):
-            mine = window == w
-            S[mine, :, w * s : (w + 1) * s] = np.moveaxis(slope[:, mine], 0, 2)
-        return S
+        own = self.stretch[:, None] == np.arange(len(self.windows.index))  # m w
+        return np.einsum("mw,smc->mcws", own, slope).reshape(len(own), len(keep), -1)
 
-    def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
+    def added(self, theta: Float[np.ndarray, " k"]) -> AddedCoefficients:
         return AddedCoefficients(self, theta)
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
@@ -168,7 +162,7 @@ class FilterError(OutputError):
     by: Observer
     stage = "innovations"
     white = True
-    averaged = 1  # sample  # pyright: ignore[reportAssignmentType]
+    averaged = 1
 
     @property
     def stretch(self) -> Int[np.ndarray, " m"]:
@@ -186,7 +180,7 @@ class FilterError(OutputError):
         """Innovations of a filtered record (`cut`) under extended dynamics, at the filter's `theta`, `R` and result."""
         # The dynamics may lack states of the filter, such as gusts without intensity, and have two separation points
         # where the filter has one, with which both move while the effects are neutral.
-        by = _observer(cut.nameless, jnp.asarray(theta), jnp.asarray(R), filtered)
+        by = observer_of(cut.nameless, jnp.asarray(theta), jnp.asarray(R), filtered)
         dynamics, states = dynamics.for_filter(), cut.dynamics.states
         names = [name if name in states or name not in POINTS else POINTS[0] for name in dynamics.states]
         rows = np.array([states.index(name) for name in names])
@@ -208,15 +202,14 @@ class FilterError(OutputError):
     @property
     def parts(self) -> Int[np.ndarray, " m"]:
         """Parts of about `PART` s of every manoeuvre: innovations of different parts are uncorrelated."""
-        manoeuvre, begin, blocks = self.manoeuvre, 0, np.zeros(len(self.place), int)
-        for k in range(int(manoeuvre[-1]) + 1):
-            samples = np.flatnonzero(manoeuvre == k)
-            count = max(round(len(samples) * self.seconds / PART), 1)
-            blocks[samples] = begin + np.arange(len(samples)) * count // len(samples)
+        lengths, begin, parts = np.bincount(self.manoeuvre), 0, []
+        for n in lengths:
+            count = max(round(n * self.seconds / PART), 1)
+            parts.append(begin + np.arange(n) * count // n)
             begin += count
-        return blocks
+        return np.concatenate(parts)
 
-    def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
+    def added(self, theta: Float[np.ndarray, " k"]) -> AddedToFilter:
         return AddedToFilter(self, theta)
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:  # noqa: ARG002
@@ -254,9 +247,6 @@ class FilterError(OutputError):
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
         """None: the filter estimates the initial state."""
         return np.zeros((len(self.place), len(outputs), 0))
-
-
-_observer = eqx.filter_jit(observer_of)
 
 
 @eqx.filter_jit
@@ -331,7 +321,7 @@ def _signals(responses: OutputError, theta: Any, states: Array) -> dict[str, Arr
     return jax.vmap(jax.vmap(at_sample))(states, prepared.drives)
 
 
-class AddedCoefficients(AddedSeries):
+class AddedCoefficients:
     """Residuals of flights under inputs that are added to the coefficients, at fixed parameters `theta`."""
 
     def __init__(self, responses: OutputError, theta: Float[np.ndarray, " k"]) -> None:
@@ -344,12 +334,9 @@ class AddedCoefficients(AddedSeries):
         self.responses = replace(responses, flights=flights, windows=windows, model=model).nameless
         self.theta = jnp.asarray(theta)
 
+    @cached_property
     def signals(self) -> dict[str, np.ndarray]:
         """Signals of the flow, X and the marks along the simulated flight, each (n,); samples of no window repeat."""
-        return self._signals
-
-    @cached_property
-    def _signals(self) -> dict[str, np.ndarray]:
         return self.along(_states(self.responses, self.theta))
 
     def along(self, states: Float[Array, "w n s"]) -> dict[str, np.ndarray]:
@@ -365,18 +352,16 @@ class AddedCoefficients(AddedSeries):
         marks = {name: np.asarray(flights.channels[name]) for name in ("dt", "elapsed", "first", "last")}
         return {name: x for name, x in laid.items() if name not in self.zeros} | marks
 
-    def columns(
-        self, coefficient: str, made: Made, outputs: Sequence[str], deviation: Float[np.ndarray, " c"]
-    ) -> tuple[Float[np.ndarray, "d t"], Float[np.ndarray, "d m c"], Float[np.ndarray, " d"]]:
-        """As of `AddedSeries`; a column as large as the residual of the median output, all outputs counted."""
-        series, kept = made(self.signals()), [self.responses.outputs.index(name) for name in outputs]
+    def columns(self, coefficient: str, made: Made, outputs: Sequence[str], deviation: Float[np.ndarray, " c"]):
+        """See `ResidualModel.added`; a column as large as the residual of the median output, all outputs counted."""
+        series, kept = made(self.signals), [self.responses.outputs.index(name) for name in outputs]
         slopes = self.slopes(coefficient, made)[:, :, kept]
         scale = np.sqrt(np.mean((slopes / deviation) ** 2, axis=(1, 2))) * float(np.median(deviation))
         return series, slopes, scale
 
     def slopes(self, coefficient: str, made: Made) -> Float[np.ndarray, "d m c"]:
         """Minus the derivatives of the residuals by the factors of series that are added to a coefficient."""
-        series = made(self.signals())
+        series = made(self.signals)
         size, slopes = DIRECTIONS_PER_CALL, []
         for begin in range(0, len(series), size):
             part = series[begin : begin + size]
@@ -418,19 +403,16 @@ class AddedToFilter(AddedCoefficients):
         self.path, self.known = responses.path_at(theta)
 
     @cached_property
-    def predicted(self) -> dict[str, np.ndarray]:
+    def signals(self) -> dict[str, np.ndarray]:
         """Signals where each sample's outputs are predicted, by the samples before."""
         return self.along(self.path.before)
-
-    def signals(self) -> dict[str, np.ndarray]:
-        return self.predicted
 
     def slopes(self, coefficient: str, made: Made) -> Float[np.ndarray, "d m c"]:
         """Minus the derivatives of the whitened innovations; arguments as of `AddedCoefficients.slopes`."""
         responses: Any = self.responses
         direction = {name: jnp.asarray(float(name == channel_of(coefficient))) for name in self.zeros}
         by_input = _by_input(responses.flown, self.theta, self.path.before, self.known, direction)
-        series = np.stack([made(self.predicted), made(self.along(self.path.after))])  # 2 d n
+        series = np.stack([made(self.signals), made(self.along(self.path.after))])  # 2 d n
         slopes = []
         for begin in range(0, series.shape[1], COLUMNS):
             part = series[:, begin : begin + COLUMNS]
