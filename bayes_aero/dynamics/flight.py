@@ -24,7 +24,7 @@ from bayes_aero.flight.health.kinematics import dead_heading
 from bayes_aero.model.model import Model, as_on_card
 from bayes_aero.model.observations import response_scales
 from bayes_aero.model.records import Flights
-from bayes_aero.parameter import Limits, Parameter, Prior, Role, Sign
+from bayes_aero.parameter import Parameter, Prior, Role
 from bayes_aero.physics import kinematics
 from bayes_aero.physics.aircraft import FORCES, NO_AIRCRAFT, RIGID, Aircraft, Axis, needed_channels
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
@@ -451,10 +451,7 @@ OWN = (  # errors that drift from one manoeuvre to the next, and the wind
     "accel_x_bias", "accel_y_bias", "accel_z_bias", "roll_rate_bias", "pitch_rate_bias", "yaw_rate_bias",
     "vertical_wind",
 )  # fmt: skip
-SHOWN_BY = dict.fromkeys(  # for errors of lateral sensors, the state that depends on them
-    ("sideslip_vane_position", "sideslip_vane_height", "sideslip_scale", "sideslip_bias", "sideslip_delay",
-     "accel_y_bias", "yaw_rate_bias"), "beta"
-) | {"bank_angle_bias": "phi", "roll_rate_bias": "phi"}  # fmt: skip
+SHOWN_BY = {"beta": "beta", "ay": "beta", "r": "beta", "phi": "phi", "p": "phi"}  # state that shows errors of a channel
 MARKS = {"dt", "start", "first", "last", "elapsed"}
 
 
@@ -462,7 +459,7 @@ def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
     """The flights, their heading without jumps, and their flight path with the possible errors of their sensors."""
     states = path_states(flights)
     recorded = {*flights.recorded, *MARKS}
-    shown = [name for name in (*COMMON, *OWN) if SHOWN_BY.get(name, states[0]) in states]
+    shown = [name for name in (*COMMON, *OWN) if SHOWN_BY.get(CATALOGUE[name].channels[0], states[0]) in states]
     chosen = [name for name in shown if set(CATALOGUE[name].channels) <= recorded]
     model = Model.of(chosen, axes=tuple(Axis))  # the path depends on all axes
     if card.linear is None:
@@ -538,15 +535,13 @@ class LinearDynamics(Dynamics):
 
     def system(self, values: Values, aircraft: Aircraft) -> LinearSystem:  # noqa: ARG002
         own = self.rows.by_manoeuvre
-        inputs_read = (*self.inputs, *own)
-        columns = (*self.states, *inputs_read, ONE)
+        columns = (*self.states, *self.inputs, *own, ONE)
         terms = [(i, t) for i, (_, row) in enumerate(self.rows.rows) for t in row]
         across = [columns.index(t.parameter if t.parameter in own else t.channel) for _, t in terms]
-        sizes = [t.factor * (1.0 if t.parameter in own else values[t.parameter]) for _, t in terms]
-        entries = jnp.stack([jnp.asarray(size, float) for size in sizes])
+        sizes = [jnp.asarray(t.factor * (1.0 if t.parameter in own else values[t.parameter]), float) for _, t in terms]
         places = jnp.array([i for i, _ in terms]), jnp.array(across)
-        matrix = jnp.zeros((len(self.rows.rows), len(columns))).at[places].add(entries)
-        return LinearSystem(matrix, self.states, inputs_read, self.rows.outputs)
+        matrix = jnp.zeros((len(self.rows.rows), len(columns))).at[places].add(jnp.stack(sizes))
+        return LinearSystem(matrix, self.states, columns[len(self.states) : -1], self.rows.outputs)
 
     def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Recorded inputs, and a constant, which gives the number of samples where there are no inputs."""
@@ -563,42 +558,27 @@ class LinearDynamics(Dynamics):
 def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynamics:
     """The linear system of a card, with its starting values, bounds and priors. `lengths` are the samples of the
     manoeuvres, for constants that differ between them."""
-    if card.linear is None:
+    rows, units = card.linear, channel_units(card)
+    if rows is None:
         raise InputError(f"card {card.name} has no section [linear]; add it, or use its [model]")
-    units = channel_units(card)
-    parameters = []
-    for name in card.linear.parameters:
-        unit, text = _meaning(name, card.linear, units)
-        parameter = replace(Parameter(name, unit, 0.0, 0.0, text, FLAT), **_sign_or_limits(name, card.linear))
-        parameters.append(as_on_card(parameter, card))
-    named = tuple((name, units[name]) for name in card.linear.states)
-    return LinearDynamics(card.linear, tuple(parameters), named, lengths=lengths)
-
-
-def _sign_or_limits(name: str, rows: LinearCard) -> dict[str, Sign | Limits]:
-    for state, terms in zip(rows.states, rows.rates, strict=True):
+    stated = {name: Parameter(name, "s", 0.0, 0.0, f"delay of recorded {output}", FLAT) for output, name in rows.delays}
+    for index, (row, terms) in enumerate(rows.rows):
+        rate = index < len(rows.states)
         for term in terms:
+            per = "constant part" if term.channel == ONE else f"per {term.channel}"
+            unit = f"({units[row]}){'/s' if rate else ''}/({units[term.channel]})"
+            unit = si_unit(unit.replace("/(1)", "").replace("(1)", "1")).replace("**", "^")
+            new = Parameter(term.parameter, unit, 0.0, 0.0, f"{'rate of ' if rate else ''}{row}, {per}", FLAT)
+            known = stated.setdefault(term.parameter, new)
             channel, half = PART_OF.get(term.channel, (term.channel, 1.0))
-            if term.parameter == name and (state, channel) in ALIKE:
-                like = CATALOGUE[ALIKE[state, channel]].parameters[0]
+            if rate and (row, channel) in ALIKE and known.sign is None and known.limits is None:
+                like = CATALOGUE[ALIKE[row, channel]].parameters[0]
                 side = 1 if half * term.factor > 0.0 else -1
                 if like.sign is not None:
-                    return {"sign": replace(like.sign, side=side * like.sign.side, channel=term.channel)}
-                if like.limits is not None and side > 0:
-                    return {"limits": like.limits}
-    return {}
-
-
-def _meaning(name: str, rows: LinearCard, units: Mapping[str, str]) -> tuple[str, str]:
-    for output, parameter in rows.delays:
-        if parameter == name:
-            return "s", f"delay of recorded {output}"
-    for index, (row, terms) in enumerate(rows.rows):
-        for term in terms:
-            if term.parameter == name:
-                rate = index < len(rows.states)
-                unit = f"({units[row]}){'/s' if rate else ''}/({units[term.channel]})"
-                per = "constant part" if term.channel == ONE else f"per {term.channel}"
-                unit = si_unit(unit.replace("/(1)", "").replace("(1)", "1")).replace("**", "^")
-                return unit, f"{'rate of ' if rate else ''}{row}, {per}"
-    raise KeyError(name)
+                    sign = replace(like.sign, side=side * like.sign.side, channel=term.channel)
+                    stated[term.parameter] = replace(known, sign=sign)
+                elif side > 0:
+                    stated[term.parameter] = replace(known, limits=like.limits)
+    named = tuple((name, units[name]) for name in rows.states)
+    parameters = tuple(as_on_card(stated[name], card) for name in rows.parameters)
+    return LinearDynamics(rows, parameters, named, lengths=lengths)
