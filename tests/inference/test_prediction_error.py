@@ -457,11 +457,11 @@ class _PendulumDynamics(Dynamics):
     outputs = ("w", "q", "az")
 
     @property
-    def free(self):
+    def unbiased_parameters(self):
         wide = Prior("normal", 1.0, 3.0)
         return tuple(Parameter(name, "1", 0.0, 1.0, "of a pendulum", wide) for name in ("stiff", "damped"))
 
-    def values(self, theta):
+    def unbiased_values(self, theta):
         return {"stiff": theta[0], "damped": theta[1]}
 
     def system(self, values, aircraft):  # noqa: ARG002
