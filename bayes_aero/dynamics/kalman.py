@@ -33,17 +33,23 @@ from bayes_aero.dynamics.system import (
     stage_table,
 )
 
+Theta = Float[Array, " k"]
+PerState = Float[Array, " s"]
+PerOutput = Float[Array, " c"]
+Square = Float[Array, "s s"]
+States = Float[Array, "w n s"]
+
 # --- One sample.
 
 
-def outputs_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> Float[Array, " c"]:
+def outputs_at(system: System, x: PerState, u: Row, names: Sequence[str]) -> PerOutput:
     """Outputs (c,) of these names at one instant."""
     state = zip(system.states, x, strict=True)
     outputs = motion(system, x, u)[1] | {name: value for name, value in state if name in system.state_outputs}
     return jnp.stack([outputs[name] for name in names])
 
 
-def discrete_noise(transition: Float[Array, "s s"], density: Float[Array, " s"], dt: Any) -> Float[Array, "s s"]:
+def discrete_noise(transition: Square, density: PerState, dt: Any) -> Square:
     """Discrete process-noise covariance (s, s): white noise of spectral `density` (s,) over a sample of `dt` seconds.
     The integral of Phi(t) W Phi(t)' by Simpson's rule, with the square root of the transition at mid-sample. It is
     exact to the third power of dt, the order at which a gust changes the pitch rate within a sample."""
@@ -54,11 +60,7 @@ def discrete_noise(transition: Float[Array, "s s"], density: Float[Array, " s"],
 
 
 def discrete_noise_slopes(
-    transition: Float[Array, "s s"],
-    decayed: Float[Array, "s m"],
-    density: Float[Array, " s"],
-    by: Float[Array, "s m"],
-    dt: Any,
+    transition: Square, decayed: Float[Array, "s m"], density: PerState, by: Float[Array, "s m"], dt: Any
 ) -> Float[Array, "s s m"]:
     """Derivative of `discrete_noise` in m directions: `decayed` of the transition's diagonal, `by` of the density."""
     change = transition - jnp.eye(len(density))
@@ -77,17 +79,17 @@ def _each_sample(f: Callable[..., Any]) -> Callable[..., Any]:
     return jax.vmap(jax.vmap(f))
 
 
-def value_and_slope(f: Callable[[Array], Array], x: Float[Array, " s"]) -> tuple[Array, Array]:
+def value_and_slope(f: Callable[[Array], Array], x: PerState) -> tuple[Array, Array]:
     """f and its derivative by the state (the last axis) from one evaluation; of f and its `jacfwd` the compiler would
     evaluate f twice, because it does not merge their loops."""
     return jax.vmap(lambda e: jax.jvp(f, (x,), (e,)), out_axes=(None, -1))(jnp.eye(len(x)))
 
 
 def correct(
-    P: Float[Array, "s s"],
+    P: Square,
     C: Float[Array, "c s"],
     residual: Float[Array, " c *m"],
-    variance: Float[Array, " c"],
+    variance: PerOutput,
     used: Bool[Array, " c"] | None = None,
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Correction of the state (s, *m) by the outputs of one sample, the covariance after it, and the innovations
@@ -113,16 +115,14 @@ def correct(
 
 
 def gains(
-    P: Float[Array, "s s"], C: Float[Array, "c s"], variance: Float[Array, " c"], used: Bool[Array, " c"]
+    P: Square, C: Float[Array, "c s"], variance: PerOutput, used: Bool[Array, " c"]
 ) -> tuple[Float[Array, "s c"], Float[Array, "c c"]]:
     """Gain of `correct`, and the matrix that whitens measured minus predicted: what it makes of each output alone."""
     gain, _, whitening, _, _ = correct(P, C, jnp.eye(len(C)), variance, used)
     return gain, whitening
 
 
-def predicted_covariance(
-    transition: Float[Array, "s s"], P: Float[Array, "s s"], density: Float[Array, " s"], dt: Any
-) -> Float[Array, "s s"]:
+def predicted_covariance(transition: Square, P: Square, density: PerState, dt: Any) -> Square:
     """Covariance (s, s) of the state one sample later, with white noise of spectral `density` (s,)."""
     ahead = transition @ P @ transition.T + discrete_noise(transition, density, dt)
     return 0.5 * (ahead + ahead.T)
@@ -158,7 +158,7 @@ class FilterInputs(NamedTuple):
 
 
 def filter_inputs(
-    flown: SegmentTrajectories, prepared: Prepared, start_deviation: Float[Array, " s"], R: Float[Array, " c"]
+    flown: SegmentTrajectories, prepared: Prepared, start_deviation: PerState, R: PerOutput
 ) -> FilterInputs:
     """Inputs of the filter of every segment, from its measured initial state; outputs of padding are NaN."""
     begin = prepared.initial_states
@@ -177,7 +177,7 @@ def filter_inputs(
 def kalman_filter(
     system: System,
     rows: FilterInputs,
-    F: Float[Array, " s"],
+    F: PerState,
     names: tuple[str, ...],
     substeps: int = 1,
     keep: Callable[[Filtered], Any] = lambda sample: sample,
@@ -205,10 +205,10 @@ def kalman_filter(
 
 def filter_segments(
     flown: SegmentTrajectories,
-    theta: Float[Array, " k"],
-    start_deviation: Float[Array, " s"],
-    F: Float[Array, " s"],
-    R: Float[Array, " c"],
+    theta: Theta,
+    start_deviation: PerState,
+    F: PerState,
+    R: PerOutput,
     keep: Callable[[Filtered], Any] = lambda sample: sample,
 ) -> Any:
     """Every segment by the extended Kalman filter, from its measured initial state; `R` of attached flow."""
@@ -218,9 +218,7 @@ def filter_segments(
 
 
 @eqx.filter_jit
-def prediction_errors(
-    flown: SegmentTrajectories, theta: Float[Array, " k"], filtered: Filtered
-) -> Float[Array, "w n c"]:
+def prediction_errors(flown: SegmentTrajectories, theta: Theta, filtered: Filtered) -> Float[Array, "w n c"]:
     """Measured minus predicted from the samples before, in recorded units; `filtered` is that of `filter_segments`."""
     prepared = prepare(flown, theta)
     outputs = _each_sample(lambda x, u: outputs_at(prepared.sensed, x, u, flown.outputs))
@@ -236,7 +234,7 @@ def neighbour_correlation(filtered: Filtered) -> Float[np.ndarray, " c"]:
     return np.sum(now * after, axis=(0, 1)) / np.where(power > 0.0, power, 1.0)
 
 
-def log_density_terms(e: Float[Array, " c"], S: Float[Array, " c"], used: Bool[Array, " c"]) -> Float[Array, ""]:
+def log_density_terms(e: PerOutput, S: PerOutput, used: Bool[Array, " c"]) -> Float[Array, ""]:
     """Log density of one sample's innovations `e` of variance `S`."""
     return -0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
 
@@ -268,11 +266,7 @@ def smooth(found: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s"]]
 
 
 def innovations_density(
-    flown: SegmentTrajectories,
-    theta: Float[Array, " k"],
-    start_deviation: Float[Array, " s"],
-    F: Float[Array, " s"],
-    R: Float[Array, " c"],
+    flown: SegmentTrajectories, theta: Theta, start_deviation: PerState, F: PerState, R: PerOutput
 ) -> Float[Array, ""]:
     """Log likelihood of `filter_segments`, and its gradient; `flown` is `nameless`, to share compiled programs."""
     # Reverse differentiation of a filter stores all intermediate values of every sample. Here the filter runs once.
@@ -329,7 +323,7 @@ def _derivatives_along(system: System, rows: FilterInputs, flown: SegmentTraject
             lambda x: density(x, rows.now),
         )
 
-    def by_state(f: Callable[[Array], Array], x: Float[Array, "w n s"]) -> tuple[Array, Array]:
+    def by_state(f: Callable[[Array], Array], x: States) -> tuple[Array, Array]:
         along = lambda e: jax.jvp(f, (x,), (jnp.broadcast_to(e, x.shape),))  # noqa: E731
         return jax.vmap(along, out_axes=(None, -1))(jnp.eye(x.shape[-1]))
 
@@ -351,19 +345,14 @@ def _derivatives_along(system: System, rows: FilterInputs, flown: SegmentTraject
 class Disturbances(NamedTuple):
     """Noise of linearised segments."""
 
-    density: Float[Array, "w n s"]  # spectral, by state
+    density: States  # spectral, by state
     variance: Float[Array, "w n c"]  # of the outputs
     begin: Float[Array, "w s s"]  # covariance of the initial state
-    decay: Float[Array, "w n s"]  # 1/s, of states that are random processes
+    decay: States  # 1/s, of states that are random processes
 
 
 def disturbances_along(
-    flown: SegmentTrajectories,
-    theta: Float[Array, " k"],
-    path: Float[Array, "w n s"],
-    start_deviation: Float[Array, " s"],
-    F: Float[Array, " s"],
-    R: Float[Array, " c"],
+    flown: SegmentTrajectories, theta: Theta, path: States, start_deviation: PerState, F: PerState, R: PerOutput
 ) -> Disturbances:
     """The noise of `filter_segments` at the states of `path`."""
     prepared = prepare(flown, theta)
@@ -475,9 +464,9 @@ def _slopes_of_segment(lin: LinearisedFilter, noise: Disturbances, slopes: Distu
 class LinearisedFilter(NamedTuple):
     """Segments linearised along a path, with derivatives in d directions of the parameters."""
 
-    before: Float[Array, "w n s"]  # the correction: outputs are linearised here,
-    after: Float[Array, "w n s"]  # and the motion here
-    ahead: Float[Array, "w n s"]  # one sample after `after`
+    before: States  # the correction: outputs are linearised here,
+    after: States  # and the motion here
+    ahead: States  # one sample after `after`
     transition: Float[Array, "w n s s"]
     drive: Float[Array, "w n s d"]
     residual: Float[Array, "w n c"]  # measured minus outputs at `before`, NaN where missing
@@ -496,12 +485,10 @@ class StateDerivatives(NamedTuple):
     transition: Float[Array, "w n s s"]  # of the next state
     points: Float[Array, "m w n s"]  # states at the m Runge-Kutta stages,
     motion: Float[Array, "m w n s s"]  # and the derivatives of the motion there
-    ahead: Float[Array, "w n s"]  # the next state
+    ahead: States  # the next state
 
 
-def state_derivatives(
-    flown: SegmentTrajectories, theta: Float[Array, " k"], before: Float[Array, "w n s"], after: Float[Array, "w n s"]
-) -> StateDerivatives:
+def state_derivatives(flown: SegmentTrajectories, theta: Theta, before: States, after: States) -> StateDerivatives:
     """Derivatives by the state of all samples at once, at parameters `theta`."""
     prepared = prepare(flown, theta)
     unit = jnp.eye(before.shape[-1])
@@ -520,9 +507,9 @@ def state_derivatives(
 
 def linearise(
     flown: SegmentTrajectories,
-    theta: Float[Array, " k"],
-    before: Float[Array, "w n s"],
-    after: Float[Array, "w n s"],
+    theta: Theta,
+    before: States,
+    after: States,
     directions: Float[Array, "d k"],
     known: StateDerivatives | None = None,
 ) -> LinearisedFilter:
@@ -585,9 +572,7 @@ class Observer(NamedTuple):
 
 
 @eqx.filter_jit
-def observer_of(
-    flown: SegmentTrajectories, theta: Float[Array, " k"], R: Float[Array, " c"], filtered: Filtered
-) -> Observer:
+def observer_of(flown: SegmentTrajectories, theta: Theta, R: PerOutput, filtered: Filtered) -> Observer:
     """The gains of `filter_segments` at `theta` and `R`, to be held while parameters vary; `filtered` is its result."""
     prepared = prepare(flown, theta)
 
@@ -605,11 +590,11 @@ class Observed(NamedTuple):
     """Innovations (w, n, c), SI, and the states (w, n, s) before and after each sample's correction."""
 
     innovation: Float[Array, "w n c"]
-    before: Float[Array, "w n s"]
-    after: Float[Array, "w n s"]
+    before: States
+    after: States
 
 
-def run_observer(flown: SegmentTrajectories, theta: Float[Array, " k"], by: Observer) -> Observed:
+def run_observer(flown: SegmentTrajectories, theta: Theta, by: Observer) -> Observed:
     """Innovations of every segment by an observer with given gains."""
     prepared = prepare(flown, theta)
 
@@ -645,8 +630,8 @@ def _observed(begin, *rows):
 
 def derivatives_by_input(
     flown: SegmentTrajectories,
-    theta: Float[Array, " k"],
-    before: Float[Array, "w n s"],
+    theta: Theta,
+    before: States,
     known: StateDerivatives,
     direction: dict[str, Float[Array, ""]],
 ) -> tuple[Float[Array, "w n s 2"], Float[Array, "w n c"]]:
@@ -672,7 +657,7 @@ def derivatives_by_input(
 
 def input_innovations(
     flown: SegmentTrajectories,
-    theta: Float[Array, " k"],
+    theta: Theta,
     known: StateDerivatives,
     by_input: tuple[Array, Array],
     by: Observer,

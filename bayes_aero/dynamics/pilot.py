@@ -12,21 +12,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import brentq
 
+from bayes_aero.dynamics import trim as steady
 from bayes_aero.dynamics.aircraft import RigidBody
 from bayes_aero.dynamics.flight import Values
 from bayes_aero.dynamics.system import Row, System, advance, integrate, later
-from bayes_aero.dynamics.trim import (
-    CONTROLS,
-    SIGNALS,
-    Condition,
-    RigidTrim,
-    Trim,
-    control_signs,
-    lead,
-    refuse_unsimulated,
-    rigid_trim,
-    trimmed,
-)
 from bayes_aero.effect import Stage
 from bayes_aero.model import observations as observations
 from bayes_aero.model.model import Model
@@ -156,14 +145,14 @@ def fly(
     values: Values,
     aircraft: Aircraft,
     pilots: Sequence[Pilot],
-    starts: Sequence[FlightState | RigidTrim],
+    starts: Sequence[FlightState | steady.RigidTrim],
     dt: float,
 ) -> list[dict[str, Float[np.ndarray, " n"]]]:
     """All signals of flights of one length by the names of recorded channels, and CL, CD, Cm, X; (n,), SI; NaN from
     where a flight breaks down. From a `RigidTrim` in six degrees of freedom, else in three. Inputs are linear between
     samples: held, they would lag their record by half a sample, which a diagnosis finds as a delay of the elevator."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
-    if isinstance(starts[0], RigidTrim):
+    if isinstance(starts[0], steady.RigidTrim):
         return [_fly_rigid(model, values, aircraft, *row, dt) for row in zip(pilots, starts, strict=True)]  # type: ignore[arg-type]
     gains = [np.array([p.alpha_gain, p.rate_gain, p.trim_gain, p.buffet], float) for p in pilots]
     rows = zip(*(map(_signals, pilots), gains, (np.array(start, float) for start in starts)), strict=True)
@@ -187,7 +176,7 @@ def _signals(pilot: Pilot) -> dict[str, Float[np.ndarray, " n"]]:
 
 def _fly(model: Model, values: dict[str, Any], aircraft: Aircraft, u: dict[str, Any], gains: Any, start: Any, dt: Any):
     state = FlightState(*start)
-    shares, command = lead(model, values, aircraft, u["led_alpha"], state.airspeed, state.altitude)
+    shares, command = steady.lead(model, values, aircraft, u["led_alpha"], state.airspeed, state.altitude)
     plant = Plant(model, values, aircraft, (gains[0], gains[1], gains[2]), gains[3], shares)
     for name, rate in TURNING.items():
         u = u | {rate: differentiate(u[name], dt)}
@@ -281,7 +270,7 @@ class PilotedBody(RigidBody):
         yaw = SLIP * errors["beta"] - YAW * (state["r"] - u["led_r"])
         commands = {"Cm": pitch, "Cl": roll, "Cn": yaw}
         deflections = {control: sign * commands[moment] for moment, control, sign in self.pilots}
-        names = (*CONTROLS, *LATERAL_CONTROLS)
+        names = (*steady.CONTROLS, *LATERAL_CONTROLS)
         return {
             n: u[n] + jnp.clip(deflections[n], -MAX_DEFLECTION, MAX_DEFLECTION) if n in deflections else u[n]
             for n in names
@@ -289,12 +278,12 @@ class PilotedBody(RigidBody):
 
 
 def _fly_rigid(
-    model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot, trim: RigidTrim, dt: float
+    model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot, trim: steady.RigidTrim, dt: float
 ) -> dict[str, Float[np.ndarray, " n"]]:
     lag = float(model.lag(values))
     if lag == 0.0:  # a separation point without lag is no state
         model = Model.of([e for e in model.effects if e.stage is not Stage.LAG], axes=model.axes)
-    speed, chosen = trim.state["airspeed"], control_signs(model, values, aircraft, trim.state["airspeed"])
+    speed, chosen = trim.state["airspeed"], steady.control_signs(model, values, aircraft, trim.state["airspeed"])
     pilots = tuple((moment, control, sign) for moment, (control, sign) in chosen.items())
     gains = tuple(jnp.asarray(x, float) for x in (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain))
     body = PilotedBody(model, values, aircraft, gains=gains, buffet=jnp.asarray(pilot.buffet, float), pilots=pilots)
@@ -306,9 +295,9 @@ def _fly_rigid(
     u[pitch] = u[pitch] - sign * u["excitation"]  # a positive command pitches down
     sideslipping: Mapping[str, float] = trim.controls
     if np.any(u["led_beta"]):
-        condition = Condition(speed, trim.state["altitude"], trim.state["beta"] + REFERENCE_SIDESLIP)
-        sideslipping = rigid_trim(model, values, aircraft, condition).controls
-    for name in (*CONTROLS, *LATERAL_CONTROLS):
+        condition = steady.Condition(speed, trim.state["altitude"], trim.state["beta"] + REFERENCE_SIDESLIP)
+        sideslipping = steady.rigid_trim(model, values, aircraft, condition).controls
+    for name in (*steady.CONTROLS, *LATERAL_CONTROLS):
         held = trim.controls.get(name, 0.0)
         per_sideslip = (sideslipping.get(name, 0.0) - held) / REFERENCE_SIDESLIP if name in LATERAL_CONTROLS else 0.0
         u[name] = u[name] + held + per_sideslip * u["led_beta"]
@@ -329,7 +318,7 @@ def _fly_rigid(
 _integrate = eqx.filter_jit(integrate)
 
 
-# --- Flight-test inputs: their shapes, and the standard inputs, simulated from trimmed level flight.
+# --- Flight-test inputs: their shapes, and the standard inputs, simulated from steady.trimmed level flight.
 # Their excitation: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 9; Jategaonkar, *Flight Vehicle
 # System Identification*, 2nd ed. 2015, ch. 2. Amplitudes are our choice: those of a transport in a flight test.
 
@@ -383,7 +372,12 @@ def rounded(signal: Series, seconds: float, dt: float) -> Series:
 
 
 def commands(
-    time: Series, trim: Trim, stall: float, bank_per_sideslip: float, amplitude: float = 1.0, lateral: bool = False
+    time: Series,
+    trim: steady.Trim,
+    stall: float,
+    bank_per_sideslip: float,
+    amplitude: float = 1.0,
+    lateral: bool = False,
 ) -> dict[str, Pilot]:
     """The standard inputs by name: `stall` (rad) is the rise of alpha of the slow sweep above trim; with `lateral`
     those of aileron, rudder and unequal engines, a stall in banked flight, and multisines on three controls."""
@@ -447,16 +441,17 @@ def standard_pilots(
     airspeed: float,
     altitude: float,
     amplitude: float = 1.0,
-) -> tuple[dict[str, Pilot], FlightState | RigidTrim]:
+) -> tuple[dict[str, Pilot], FlightState | steady.RigidTrim]:
     """The pilot of each manoeuvre, and the level flight in which all start; `InputError` where there is no trim."""
-    start: FlightState | RigidTrim
+    start: FlightState | steady.RigidTrim
     if rigid := Axis.LATERAL in model.axes:
-        start = rigid_trim(model, values, aircraft, Condition(airspeed, altitude))
-        sideslipping = rigid_trim(model, values, aircraft, Condition(airspeed, altitude, sideslip=REFERENCE_SIDESLIP))
+        level = steady.Condition(airspeed, altitude)
+        start = steady.rigid_trim(model, values, aircraft, level)
+        sideslipping = steady.rigid_trim(model, values, aircraft, level._replace(sideslip=REFERENCE_SIDESLIP))
         bank_per_sideslip = (sideslipping.state["phi"] - start.state["phi"]) / REFERENCE_SIDESLIP
-        trim = Trim(start.state["alpha"], start.thrust, 0.0)
+        trim = steady.Trim(start.state["alpha"], start.thrust, 0.0)
     else:
-        trim = trimmed(model, values, aircraft, airspeed, altitude)
+        trim = steady.trimmed(model, values, aircraft, airspeed, altitude)
         pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
         bank_per_sideslip = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
         start = FlightState(airspeed, trim.alpha, trim.alpha, 0.0, altitude, trim=trim.command)
@@ -469,7 +464,7 @@ def fly_standard(
     model: Model,
     values: Mapping[str, Any],
     aircraft: Aircraft,
-    level: Condition,
+    level: steady.Condition,
     *,
     dt: float,
     amplitude: float = 1.0,
@@ -480,7 +475,7 @@ def fly_standard(
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
     for effect in model.acting if Axis.LATERAL in model.axes else ():
-        refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
+        steady.refuse_unsimulated(effect, steady.SIGNALS | {"aileron", "thrust_left", "thrust_right"})
     pilots, start = standard_pilots(model, values, aircraft, time, level.airspeed, level.altitude, amplitude)
     flights = fly(model, values, aircraft, list(pilots.values()), [start] * len(pilots), dt)
     flown, refused = {}, {}

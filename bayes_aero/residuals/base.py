@@ -22,6 +22,11 @@ from bayes_aero.physics.kinematics import ANGLES, RATES, as_symmetric, integral,
 from bayes_aero.units import number
 
 DIRECTIONS_PER_CALL = 16
+Theta = Float[AnyArray, " k"]
+Directions = Float[AnyArray, "d k"]
+Residual = Float[AnyArray, "m c"]  # of m blocks and c outputs
+Slopes = Float[AnyArray, "d m c"]
+Offsets = Float[AnyArray, "m c o"]
 
 
 class ResidualModel(ABC):
@@ -74,21 +79,21 @@ class ResidualModel(ABC):
         """The part of each block, by which terms are judged as one is left out; all one where the colour tells."""
         return self.stretch
 
-    def separated(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " m"]:
+    def separated(self, theta: Theta) -> Float[np.ndarray, " m"]:
         """Separated share of the flow, 1 - X, of each block, with which noise grows."""
         return 1.0 - np.asarray(self.block(self.predict(theta)["X"]))
 
-    def predict(self, theta: Float[np.ndarray, " k"]) -> dict[str, np.ndarray]:
+    def predict(self, theta: Theta) -> dict[str, np.ndarray]:
         """Signals that describe the residuals, by name, at the recorded rate."""
         return {name: np.asarray(x) for name, x in self.evaluate(theta)[1].items()}
 
-    def residuals(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c"]:
+    def residuals(self, theta: Theta, outputs: Sequence[str]) -> Residual:
         """Residuals of these outputs at the parameters `theta`."""
         return np.asarray(self.evaluate(theta)[0])[:, [self.outputs.index(name) for name in outputs]]
 
     def holdout(
         self, folds: Sequence[slice], fitted: Callable[[list[int]], np.ndarray], outputs: Sequence[str]
-    ) -> Float[np.ndarray, "m c"]:
+    ) -> Residual:
         """Residuals of every fold at the parameters `fitted` to the others; zeros between folds."""
         residual = np.zeros((len(self.manoeuvre), len(outputs)))
         for left_out, fold in enumerate(folds):
@@ -101,24 +106,22 @@ class ResidualModel(ABC):
         """Means over blocks of anything sampled at the recorded rate."""
 
     @abstractmethod
-    def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[AnyArray, "m c"], Mapping[str, AnyArray]]:
+    def evaluate(self, theta: Theta) -> tuple[Residual, Mapping[str, AnyArray]]:
         """Residuals at the free parameters `theta`, and signals that describe them by name, at the recorded rate."""
 
     @abstractmethod
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
+    def offsets(self, theta: Theta, outputs: Sequence[str]) -> Offsets:
         """Sensitivities to quantities that are free in every fit and no parameters: initial values of integrals."""
 
-    def slopes(
-        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+    def slopes(self, theta: Theta, directions: Directions) -> tuple[Residual, Slopes]:
         """Residuals and minus their derivatives in `DIRECTIONS_PER_CALL` directions."""
         raise NotImplementedError  # of those that linearise by all columns at once
 
-    def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
+    def slopes_at(self, theta: Theta) -> Callable[[Directions], tuple]:
         """`slopes` at these parameters as a function of the directions."""
         return lambda directions: self.slopes(theta, directions)
 
-    def added(self, theta: Float[np.ndarray, " k"]) -> Any:
+    def added(self, theta: Theta) -> Any:
         """What residuals make, to first order, of series that are added to the coefficients, at fixed parameters."""
         # `signals` of the flow, X and the marks, each (n,), of which the series are functions; `columns(coefficient,
         # made, outputs, deviation)`: the series as residuals show them (d, t), their columns (d, m, c), and the size of
@@ -126,8 +129,8 @@ class ResidualModel(ABC):
         raise NotImplementedError  # of the flight path, which has no coefficients
 
     def linearise(
-        self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
+        self, theta: Theta, columns: Int[np.ndarray, " j"] | None = None
+    ) -> tuple[Residual, Float[np.ndarray, "m c j"]]:
         """Residuals, measured minus modelled, and minus their derivatives by `columns`."""
         indices = np.arange(len(theta)) if columns is None else np.asarray(columns)
         slopes, size = self.slopes_at(theta), DIRECTIONS_PER_CALL
@@ -164,7 +167,7 @@ class Blockwise(ResidualModel):
             begin += length
         return namespace(x).concatenate(parts)
 
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
+    def offsets(self, theta: Theta, outputs: Sequence[str]) -> Offsets:  # noqa: ARG002
         """A constant for each manoeuvre and flight-path output: the initial value of the integral."""
         own = self.manoeuvre[:, None] == np.arange(self.manoeuvre[-1] + 1)  # m k
         path = np.eye(len(outputs))[:, [c for c, name in enumerate(outputs) if name not in self.model.coefficients]]
@@ -251,12 +254,10 @@ class FlightPathError(Blockwise):
         channels = {name: np.asarray(x) for name, x in as_symmetric(flights.channels).items()}
         return cls(replace(flights, channels=channels), model, flight_path(flights))
 
-    def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[np.ndarray, "m c"], Mapping[str, AnyArray]]:
+    def evaluate(self, theta: Theta) -> tuple[Residual, Mapping[str, AnyArray]]:
         return self._residual(np.asarray(theta)), {}
 
-    def slopes(
-        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+    def slopes(self, theta: Theta, directions: Directions) -> tuple[Residual, Slopes]:
         theta = np.asarray(theta)
         residual = self._residual(theta)
         slope = np.zeros((len(directions), *residual.shape))
@@ -269,7 +270,7 @@ class FlightPathError(Blockwise):
         return residual, slope
 
     @cached_property
-    def _cache(self) -> dict[bytes, Float[np.ndarray, "m c"]]:
+    def _cache(self) -> dict[bytes, Residual]:
         return {}
 
     @cached_property
@@ -285,7 +286,7 @@ class FlightPathError(Blockwise):
     def _on_record(self) -> tuple[Effect, ...]:
         return tuple(e for e in self.model.acting if e.stage in RECORD_STAGES)
 
-    def _residual(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
+    def _residual(self, theta: Theta) -> Residual:
         """Residuals at a parameter vector, read only; stored, because searches repeat the same vectors."""
         key = theta.tobytes()
         residual = self._cache.pop(key, None)

@@ -31,7 +31,7 @@ from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import LiftRegression, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
 from bayes_aero.physics.kinematics import LATERAL, PATH
-from bayes_aero.residuals.base import Blockwise, Made, ResidualModel, differences, flight_path
+from bayes_aero.residuals import base
 from bayes_aero.units import number
 
 DIRECTIONS_AT_ONCE = 4  # most calls need no more, and larger ones are no slower
@@ -39,7 +39,7 @@ RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect
 LATERAL_RESPONSE = ("p", "r", "ay")  # and those of the lateral axis
 
 
-class EquationError(Blockwise, eqx.Module):
+class EquationError(base.Blockwise, eqx.Module):
     """Residuals of one set of flights under one model of many effects."""
 
     # Residuals are averaged over m blocks. They are in units of the recorded response: the residual of a coefficient is
@@ -63,18 +63,18 @@ class EquationError(Blockwise, eqx.Module):
         program = jax.make_jaxpr(measured)(*np.ones(len(model.names))).jaxpr
         read = {id(x) for step in program.eqns for x in step.invars} | {id(x) for x in program.outvars}
         measuring = tuple(i for i, x in enumerate(program.invars) if id(x) in read)
-        return cls(flights, model, measuring, flight_path(flights))
+        return cls(flights, model, measuring, base.flight_path(flights))
 
     @property
     def outputs(self) -> tuple[str, ...]:
         return (*self.model.coefficients, *self.path)
 
-    def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[np.ndarray, "m c"], dict[str, np.ndarray]]:
+    def evaluate(self, theta: base.Theta) -> tuple[base.Residual, dict[str, np.ndarray]]:
         residual, details = _evaluate(self._padded, theta)
         n, m = self.flights.n, len(self.manoeuvre)
         return np.asarray(residual)[:m], {name: np.asarray(x)[:n] for name, x in details.items()}
 
-    def traced(self, theta: Float[Array, " k"]) -> tuple[Float[Array, "m c"], dict[str, Array]]:
+    def traced(self, theta: base.Theta) -> tuple[base.Residual, dict[str, Array]]:
         """`evaluate` as part of a larger compiled program."""
         return _residuals(_Padded(self, self.flights.regression(), None), theta)
 
@@ -88,12 +88,12 @@ class EquationError(Blockwise, eqx.Module):
         begins[: len(first)] = first
         return _Padded(replace(self, flights=padded), regression, begins)
 
-    def added(self, theta: Float[np.ndarray, " k"]) -> _AddedToEquations:
+    def added(self, theta: base.Theta) -> _AddedToEquations:
         return _AddedToEquations(self, theta)
 
     def linearise(
-        self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
+        self, theta: base.Theta, columns: Int[np.ndarray, " j"] | None = None
+    ) -> tuple[base.Residual, Float[np.ndarray, "m c j"]]:
         k, m = len(theta), len(self.manoeuvre)
         indices = np.arange(k) if columns is None else np.asarray(columns)
         # Parameters that change the measured coefficients cost four times those that change only the modelled ones.
@@ -154,13 +154,13 @@ class _AddedToEquations:
     """Series smoothed and averaged over blocks as the coefficient is; a column is as large as its root mean square."""
 
     responses: EquationError
-    theta: Float[np.ndarray, " k"]
+    theta: base.Theta
 
     @cached_property
     def signals(self) -> Mapping[str, np.ndarray]:
         return self.responses.evaluate(self.theta)[1]
 
-    def columns(self, coefficient: str, made: Made, outputs: Sequence[str], _deviation: Float[np.ndarray, " c"]):
+    def columns(self, coefficient: str, made: base.Made, outputs: Sequence[str], _deviation: Float[np.ndarray, " c"]):
         ends = tuple(np.asarray(self.responses.flights.channels[name]) for name in ("first", "last"))
         raw = np.stack([smooth_joined(x, *ends) for x in made(self.signals)], axis=1)
         series = np.asarray(self.responses.block(raw)).T
@@ -183,7 +183,7 @@ def _residuals(padded: _Padded, theta):
     modelled, X = _modelled(model, values, signals, aircraft)
     columns = [(measured - modelled) * factors]
     if responses.path:
-        columns.append(differences(responses.path, signals, aircraft, scales))
+        columns.append(base.differences(responses.path, signals, aircraft, scales))
     residual = _smoothed(f, jnp.concatenate(columns, axis=1))
     both = _smoothed(f, jnp.concatenate([measured, modelled], axis=1))
     c = len(model.coefficients)
@@ -207,7 +207,7 @@ def _linearise(padded: _Padded, theta, measuring, flowing):
     return residual, whole, coefficients
 
 
-def _along(slope: Callable[[Array], Array], directions: Float[Array, "d k"]) -> Float[Array, "d m c"]:
+def _along(slope: Callable[[Array], Array], directions: base.Directions) -> base.Slopes:
     """Slopes in all directions, `DIRECTIONS_AT_ONCE` at a time; groups of zero directions at the end are skipped."""
     groups = directions.reshape(-1, DIRECTIONS_AT_ONCE, directions.shape[1])
     used = jnp.sum(jnp.any(groups != 0.0, axis=(1, 2)))
@@ -261,7 +261,7 @@ def without_trend(rows: Float[np.ndarray, "r n"]) -> Float[np.ndarray, "r n"]:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-class InBand(ResidualModel):
+class InBand(base.ResidualModel):
     """Transforms take the place of means over blocks: m real and imaginary parts of all lines and manoeuvres."""
 
     rows: tuple[Float[np.ndarray, "_ _"], ...]  # by manoeuvre
@@ -279,7 +279,7 @@ class InBand(ResidualModel):
         parts = zip(self.rows, jnp.split(x, ends), strict=True)
         return jnp.concatenate([jnp.tensordot(rows, part[: rows.shape[1]], axes=1) for rows, part in parts])
 
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
+    def offsets(self, theta: base.Theta, outputs: Sequence[str]) -> base.Offsets:  # noqa: ARG002
         """None: the rows hold no constants."""
         return np.zeros((len(self.manoeuvre), len(outputs), 0))
 
@@ -352,24 +352,20 @@ class LinearFrequencyError(InBand, eqx.Module):
         """Derivatives of the states, then further outputs."""
         return (*(f"d{name}/dt" for name in self.states), *self.further)
 
-    def evaluate(
-        self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
-    ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
+    def evaluate(self, theta: base.Theta) -> tuple[base.Residual, Mapping[str, Array]]:
         return _residual(self.nameless, jnp.asarray(theta)), {}
 
-    def slopes(
-        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+    def slopes(self, theta: base.Theta, directions: base.Directions) -> tuple[base.Residual, base.Slopes]:
         residual, slope = _slopes(self.nameless, jnp.asarray(theta), jnp.asarray(directions))
         return np.asarray(residual), -np.asarray(slope)
 
-    def system_and_inputs(self, theta: Float[Array, " k"]) -> tuple[LinearSystem, dict[str, Array]]:
+    def system_and_inputs(self, theta: base.Theta) -> tuple[LinearSystem, dict[str, Array]]:
         """The system at these parameters, and its recorded inputs."""
         values = self.dynamics.values(theta)
         system: Any = self.dynamics.system(values, self.flights.aircraft)
         return system, self.dynamics.drives(values, self.flights.channels, self.flights)
 
-    def residual(self, theta: Float[Array, " k"]) -> Float[Array, "m c"]:
+    def residual(self, theta: base.Theta) -> base.Residual:
         system, drives = self.system_and_inputs(theta)
         channels = self.flights.channels
         x = jnp.stack([channels[name] for name in self.states], axis=1)
@@ -409,7 +405,7 @@ class LinearFrequencyOutputError(LinearFrequencyError):
     def outputs(self) -> tuple[str, ...]:
         return (*self.states, *self.further)
 
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
+    def offsets(self, theta: base.Theta, outputs: Sequence[str]) -> base.Offsets:
         """Sensitivities to the change of each state over a manoeuvre, and to a drift of each output."""
         keep = [self.outputs.index(name) for name in outputs]
         s, c = len(self.states), len(keep)
@@ -427,7 +423,7 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         by = offsets.reshape(len(self.rows), -1)[:, : len(self.states)]
         return replace(self, changes=self.changes + by)
 
-    def residual(self, theta: Float[Array, " k"]) -> Float[Array, "m c"]:
+    def residual(self, theta: base.Theta) -> base.Residual:
         system, drives = self.system_and_inputs(theta)
         channels, ends = self.flights.channels, np.cumsum([0, *self.flights.lengths])
         recorded = jnp.stack([channels[name] for name in self.outputs], axis=1)
@@ -441,12 +437,7 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         return jnp.concatenate(parts)
 
     def transforms(
-        self,
-        system: LinearSystem,
-        theta: Float[Array, " k"],
-        k: int,
-        U: tuple[Array, Array],
-        change: Float[Array, " s"],
+        self, system: LinearSystem, theta: base.Theta, k: int, U: tuple[Array, Array], change: Float[Array, " s"]
     ) -> Array:
         """Transforms (f, c) of the outputs of manoeuvre `k`, complex; `U`: of the inputs, and their change."""
         n, s = self.rows[k].shape[1], len(self.states)

@@ -17,16 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import LinearOperator, lsmr
 
+from bayes_aero.dynamics import trim as steady
 from bayes_aero.dynamics.pilot import FlightState, Pilot, fly, standard_pilots
-from bayes_aero.dynamics.trim import (
-    SIGNALS,
-    Condition,
-    RigidTrim,
-    can_simulate,
-    level_speed,
-    refuse_unsimulated,
-    rigid_trim,
-)
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -131,7 +123,7 @@ def _flights(
         pilot = demo.random_pilot(rng, max(90.0, (length - 1) * demo.DT), model.break_angle(values), moved)
         pilots.append(pilot._replace(disturbance=setting.disturbance * disturbance, buffet=buffet))
         alpha, height = float(pilot.alpha[0]), rng.uniform(5050.0, 5350.0)
-        speed = float(np.clip(level_speed(model, values, aircraft, alpha, height, MACH), *BEGIN))
+        speed = float(np.clip(steady.level_speed(model, values, aircraft, alpha, height, MACH), *BEGIN))
         starts.append(FlightState(speed, alpha, alpha, 0.0, height))
     time = demo.flight_time()
     marks = plain_marks(demo.SAMPLES, demo.DT, 0) | {"elapsed": time}  # from the first sample of the record
@@ -208,7 +200,7 @@ def _models(beyond: tuple[Effect, ...]) -> tuple[Model, Model, Model]:
     flyable_effects = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]
     channel = [e for e in flyable_effects if e.stage is Stage.CHANNEL]
     return (
-        Model.of([*(e for e in flyable_effects if can_simulate(e)), *beyond]),
+        Model.of([*(e for e in flyable_effects if steady.can_simulate(e)), *beyond]),
         Model.of([e for e in channel if e.kind is not Kind.PROPULSION]),
         Model.of([e for e in channel if e.kind is Kind.PROPULSION]),
     )
@@ -221,7 +213,7 @@ def _values(effects: Mapping[str, Mapping[str, float]], rng: np.random.Generator
         values[name] = x * (1.0 + rng.uniform(-1.0, 1.0) * demo.SPREAD.get(name, demo.USUAL_SPREAD))
     for name, given in effects.items():
         effect = _known(name)
-        refuse_unsimulated(effect)
+        steady.refuse_unsimulated(effect)
         if not effect.acts_on(FLOWN_AXES):
             raise InputError(f"the simulated aircraft cannot fly effect {name}: its lateral motion is prescribed")
         names = {p.name for p in effect.parameters}
@@ -274,9 +266,9 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
     fixed = [e for e in errors if all(p.name in card.fixed for p in e.parameters)]
     installed = [e.name for e in fixed if not e.absent_in(card.fixed)]
     chosen = [known[n] for n in dict.fromkeys((*base, *installed, *request.effects))]
-    axes, signals = (tuple(Axis), SIGNALS | {"aileron"}) if rigid else ((Axis.LONGITUDINAL,), SIGNALS)
+    axes, signals = (tuple(Axis), steady.SIGNALS | {"aileron"}) if rigid else ((Axis.LONGITUDINAL,), steady.SIGNALS)
     for effect in chosen:
-        refuse_unsimulated(effect, signals)
+        steady.refuse_unsimulated(effect, signals)
     flown_model = Model.of([e for e in chosen if e.stage is not Stage.CHANNEL], axes=axes)
     faults = [e for e in chosen if e.stage is Stage.CHANNEL]
     values = {name: x for e in chosen for name, x in e.neutral_values.items()}
@@ -328,7 +320,7 @@ def _piloted(
     values: Mapping[str, Any],
     aircraft: Aircraft,
     chosen: Sequence[Effect],
-) -> tuple[Pilot, FlightState | RigidTrim]:
+) -> tuple[Pilot, FlightState | steady.RigidTrim]:
     """What the pilot does and what disturbs him, and the state in which the flight begins."""
     white = rng.standard_normal((len(time), 3))
     rho, sigma = ([demo.DISTURBANCE[f"{x}_{name}"] for name in NAMES] for x in ("rho", "sigma"))
@@ -339,12 +331,12 @@ def _piloted(
         pilot = demo.resampled(drawn, time)
         pilot = pilot._replace(thrust=pilot.thrust * (float(aircraft.mass) / LOADED))
         alpha = float(pilot.alpha[0])
-        airspeed = request.airspeed or level_speed(model, values, aircraft, alpha, request.altitude)
+        airspeed = request.airspeed or steady.level_speed(model, values, aircraft, alpha, request.altitude)
         start = FlightState(airspeed, alpha, alpha, 0.0, request.altitude)
         if Axis.LATERAL in model.axes:
-            start = rigid_trim(model, values, aircraft, Condition(airspeed, request.altitude))
+            start = steady.rigid_trim(model, values, aircraft, steady.Condition(airspeed, request.altitude))
     else:
-        airspeed = request.airspeed or level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
+        airspeed = request.airspeed or steady.level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
         given = airspeed, request.altitude, request.amplitude
         pilots, start = standard_pilots(model, values, aircraft, time, *given)
         pilot = pilots[request.manoeuvre]
