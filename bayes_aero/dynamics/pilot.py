@@ -438,23 +438,21 @@ def standard_pilots(
     values: Mapping[str, Any],
     aircraft: Aircraft,
     time: Series,
-    airspeed: float,
-    altitude: float,
+    level: steady.Condition,
     amplitude: float = 1.0,
 ) -> tuple[dict[str, Pilot], FlightState | steady.RigidTrim]:
     """The pilot of each manoeuvre, and the level flight in which all start; `InputError` where there is no trim."""
     start: FlightState | steady.RigidTrim
     if rigid := Axis.LATERAL in model.axes:
-        level = steady.Condition(airspeed, altitude)
         start = steady.rigid_trim(model, values, aircraft, level)
         sideslipping = steady.rigid_trim(model, values, aircraft, level._replace(sideslip=REFERENCE_SIDESLIP))
         bank_per_sideslip = (sideslipping.state["phi"] - start.state["phi"]) / REFERENCE_SIDESLIP
         trim = steady.Trim(start.state["alpha"], start.thrust, 0.0)
     else:
-        trim = steady.trimmed(model, values, aircraft, airspeed, altitude)
-        pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
+        trim = steady.trimmed(model, values, aircraft, level.airspeed, level.altitude)
+        pressure = 0.5 * float(air(jnp.asarray(level.altitude))[0]) * level.airspeed**2
         bank_per_sideslip = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
-        start = FlightState(airspeed, trim.alpha, trim.alpha, 0.0, altitude, trim=trim.command)
+        start = FlightState(level.airspeed, trim.alpha, trim.alpha, 0.0, level.altitude, trim=trim.command)
     stall = model.break_angle(values) + STALL_BEYOND
     rise = stall - trim.alpha if stall < DEFAULT_RANGES["alpha"][1] else STALL_RISE  # of the slow sweep, above trim
     return commands(time, trim, rise, bank_per_sideslip, amplitude, rigid), start
@@ -476,7 +474,7 @@ def fly_standard(
     time = (np.arange(n + before) - before) * dt
     for effect in model.acting if Axis.LATERAL in model.axes else ():
         steady.refuse_unsimulated(effect, steady.SIGNALS | {"aileron", "thrust_left", "thrust_right"})
-    pilots, start = standard_pilots(model, values, aircraft, time, level.airspeed, level.altitude, amplitude)
+    pilots, start = standard_pilots(model, values, aircraft, time, level, amplitude)
     flights = fly(model, values, aircraft, list(pilots.values()), [start] * len(pilots), dt)
     flown, refused = {}, {}
     for name, flight in zip(pilots, flights, strict=True):

@@ -28,7 +28,6 @@ RELATIVE_ERROR = "definition of a relative error"
 PLACES = ("reference_point", "accelerometer", "engine")
 THRUSTS = ("thrust", "thrust_left", "thrust_right")  # the last two where they are recorded
 
-# Entries are packed.
 # fmt: off
 
 # Mass, inertia, centre of gravity.

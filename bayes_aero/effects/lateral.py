@@ -16,7 +16,6 @@ def nelson(values: str) -> str:
     return f"jet transports of Nelson 1998, app. B, have some {values}; the width is our choice"
 
 
-# Entries are packed.
 # fmt: off
 
 # Side force.

@@ -16,7 +16,6 @@ HFB_320 = "Jategaonkar 2015, longitudinal model of the HFB 320"
 EVEN_TERM = "lowest even term of a Taylor series, by symmetry; our choice of form"
 MACH_TERM = "first term of a Taylor series in Mach number; our choice of form"
 
-# Entries are packed.
 # fmt: off
 
 # Lift of the attached flow, and what the controls add to it.

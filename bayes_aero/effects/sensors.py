@@ -23,7 +23,6 @@ MOVED = ((0.03, 0.0, -0.01, -0.06), (-0.03, -0.01, -0.05, 0.0))
 
 sensor_error = partial(effect, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL)
 
-# Entries are packed.
 # fmt: off
 
 

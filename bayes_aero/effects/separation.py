@@ -23,8 +23,6 @@ from bayes_aero.physics.separation import kept_lift, kirchhoff_factor, lagged, m
 
 ATTACHED = 10.0  # rad; so far above any angle of attack that X is 1 to the last bit
 
-
-# Entries are packed.
 # fmt: off
 
 # Where the flow separates.

@@ -18,7 +18,7 @@ from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare, segments, simulate
 from bayes_aero.dynamics.system import motion
-from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.effect import Effect, Example, Stage, effect
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.filters import FILTER_STEP
@@ -254,17 +254,9 @@ def _filter_slopes(responses: FilterError, theta, path, derivatives, directions)
 def _adding(coefficient: str) -> Effect:
     """The effect that adds an input to a coefficient; always the same object, for models are hashed."""
     channel = channel_of(coefficient)
-    return Effect(
-        name=channel,
-        kind=Kind.AERODYNAMICS,
-        stage=Stage.TOTAL,
-        claim=f"{coefficient} has an addition that is prescribed.",
-        parameters=(),
-        channels=(channel,),
-        increments=lambda v, s, a, known: {coefficient: s[channel]},  # noqa: ARG005
-        example=Example({}, {channel: 0.1}, {coefficient: 0.1}, "it adds what it is given"),
-        source="definition",
-    )
+    example = Example({}, {channel: 0.1}, {coefficient: 0.1}, "it adds what it is given")
+    claim, added = f"{coefficient} has an addition that is prescribed.", lambda _v, s, *_: {coefficient: s[channel]}
+    return effect(channel, claim, "", added, example=example, source="definition", stage=Stage.TOTAL)
 
 
 def channel_of(coefficient: str) -> str:

@@ -4,11 +4,12 @@ record on request: any effects at given sizes, any standard manoeuvre, on the ai
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -29,6 +30,7 @@ from bayes_aero.model.records import plain_marks
 from bayes_aero.physics.aircraft import GAMMA, GAS, NAMES, Aircraft, Axis, Envelope, air, excursion
 from bayes_aero.simulate import demo
 
+T = TypeVar("T")
 FLOWN_AXES = (Axis.LONGITUDINAL,)  # axes on which the simulated aircraft has effects
 NOISES = ("white", "ar1", "buffet", "outliers")
 BEGIN, MACH = (80.0, 110.0), 0.3  # m/s, range of the first airspeed, and the Mach number taken for it
@@ -98,13 +100,15 @@ def hidden_flights(effects: Mapping[str, Mapping[str, float]], *, seed: int, **o
     """
     setting = Setting(**options)
     truth = _values(effects, np.random.default_rng([seed, 1]), setting.beyond)
-    failure = InputError("")
-    for attempt in range(3):
-        try:
-            return _flights(effects, truth, [seed, 2, attempt], setting)
-        except InputError as error:
-            failure = error
-    raise failure
+    return _first(3, lambda attempt: _flights(effects, truth, [seed, 2, attempt], setting))
+
+
+def _first(attempts: int, make: Callable[[int], T]) -> T:
+    """What the first attempt makes that raises no `InputError`; the error of the last one."""
+    for attempt in range(attempts - 1):
+        with contextlib.suppress(InputError):
+            return make(attempt)
+    return make(attempts - 1)
 
 
 def _flights(
@@ -159,15 +163,13 @@ def flyable(
 
     Sizes with which the flight leaves its envelope are drawn again from a range half as wide in its logarithm.
     """
-    failure = InputError("")
-    for attempt in range(8):
+
+    def hidden(attempt: int):
         rng = np.random.default_rng([seed, 3, attempt])
         effects = {name: draw_hidden(rng, name, largest ** (0.5**attempt)) for name in names}
-        try:
-            return effects, hidden_flights(effects, seed=seed, **options)
-        except InputError as error:
-            failure = error
-    raise failure
+        return effects, hidden_flights(effects, seed=seed, **options)
+
+    return _first(8, hidden)
 
 
 def draw_hidden(rng: np.random.Generator, name: str, largest: float = 10.0) -> dict[str, float]:
@@ -337,8 +339,8 @@ def _piloted(
             start = steady.rigid_trim(model, values, aircraft, steady.Condition(airspeed, request.altitude))
     else:
         airspeed = request.airspeed or steady.level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
-        given = airspeed, request.altitude, request.amplitude
-        pilots, start = standard_pilots(model, values, aircraft, time, *given)
+        level = steady.Condition(airspeed, request.altitude)
+        pilots, start = standard_pilots(model, values, aircraft, time, level, request.amplitude)
         pilot = pilots[request.manoeuvre]
     return pilot._replace(disturbance=increments, buffet=request.buffet), start
 
