@@ -388,7 +388,7 @@ class LinearFrequencyOutputError(LinearFrequencyError):
     # last is (z - P) X = (G + H z) U - z (x_end - x_begin - H (u_end - u_begin)), z = exp(j w dt). So it needs no
     # integration, which would diverge for an unstable aircraft, and is exact for any record. The change of the state
     # over a record begins with the recorded one; it and a drift of each output are free in every fit.
-    changes: Float[np.ndarray, "w s"]  # of the states, by manoeuvre
+    changes: Float[AnyArray, "w s"]  # of the states, by manoeuvre
 
     @classmethod
     def in_band(cls, flights: Flights, dynamics: LinearDynamics, band: Band) -> LinearFrequencyOutputError:
@@ -408,16 +408,11 @@ class LinearFrequencyOutputError(LinearFrequencyError):
     def offsets(self, theta: base.Theta, outputs: Sequence[str]) -> base.Offsets:
         """Sensitivities to the change of each state over a manoeuvre, and to a drift of each output."""
         keep = [self.outputs.index(name) for name in outputs]
-        s, c = len(self.states), len(keep)
-        S = np.zeros((len(self.manoeuvre), c, len(self.rows) * (s + c)))
-        begin = 0
-        for k, rows in enumerate(self.rows):
-            place, first = slice(begin, begin + len(rows)), k * (s + c)
-            S[place, :, first : first + s] = np.asarray(_changes(self, jnp.asarray(theta), k))[:, keep]
-            drift = rows @ np.linspace(-1.0, 1.0, rows.shape[1])
-            S[place, np.arange(c), first + s + np.arange(c)] = drift[:, None]
-            begin += len(rows)
-        return S
+        by_change = -np.asarray(_changes(self.nameless, jnp.asarray(theta)))[:, keep]  # m c w s
+        drift = np.concatenate([rows @ np.linspace(-1.0, 1.0, rows.shape[1]) for rows in self.rows])
+        own = self.manoeuvre[:, None] == np.arange(len(self.rows))
+        drifts = np.einsum("m,mw,cd->mcwd", drift, own, np.eye(len(keep)))
+        return np.concatenate([by_change, drifts], axis=3).reshape(len(drift), len(keep), -1)
 
     def moved(self, offsets: Float[np.ndarray, " o"]) -> LinearFrequencyOutputError:
         by = offsets.reshape(len(self.rows), -1)[:, : len(self.states)]
@@ -425,43 +420,29 @@ class LinearFrequencyOutputError(LinearFrequencyError):
 
     def residual(self, theta: base.Theta) -> base.Residual:
         system, drives = self.system_and_inputs(theta)
-        channels, ends = self.flights.channels, np.cumsum([0, *self.flights.lengths])
+        channels, values, s = self.flights.channels, self.dynamics.values(theta), len(self.states)
         recorded = jnp.stack([channels[name] for name in self.outputs], axis=1)
         u = jnp.stack([drives[name] for name in (*system.inputs_read, ONE)], axis=1)
-        parts = []
+        (A, B), (C, D) = ((rows[:, :s], rows[:, s:]) for rows in (system.matrix[:s], system.matrix[s:]))
+        late, i, parts = self.dynamics.delays(self.outputs), B.shape[1], []
+        ends = np.cumsum([0, *self.flights.lengths])
         for k, rows in enumerate(self.rows):
-            samples = slice(ends[k], ends[k + 1])
-            U = _complex(rows @ u[samples][:-1]), u[samples][-1] - u[samples][0]
-            modelled = self.transforms(system, theta, k, U, jnp.asarray(self.changes[k]))
+            samples, n, dt = slice(ends[k], ends[k + 1]), rows.shape[1], channels["dt"][ends[k]]
+            phase = -jnp.angle(_complex(rows)[:, 1])  # of one sample
+            z = jnp.exp(1j * phase)[:, None, None]
+            big = jnp.zeros((s + 2 * i, s + 2 * i))  # x_{j+1} = P x_j + G u_j + H u_{j+1} for u linear between samples
+            big = big.at[:s, :s].set(A * dt).at[:s, s : s + i].set(B * dt).at[s : s + i, s + i :].set(jnp.eye(i))
+            step = expm(big)[:s]
+            P, G, H = step[:, :s], step[:, s : s + i] - step[:, s + i :], step[:, s + i :]
+            U = _complex(rows @ u[samples][:-1])
+            end = np.sqrt(2.0 / n) * (jnp.asarray(self.changes)[k] - H @ (u[samples][-1] - u[samples][0]))
+            X = jnp.linalg.solve(z * jnp.eye(s) - P, (G + H * z) @ U[..., None] - z * end[:, None])[..., 0]
+            signals, read = {name: X[:, j] for j, name in enumerate(self.states)}, X @ C.T + U @ D.T
+            signals |= {name: read[:, row] + signals.get(name, 0.0) for row, name in enumerate(system.read)}
+            signals |= {name: signals[name] * jnp.exp(-1j * phase / dt * values[p]) for name, p in late.items()}
+            modelled = jnp.stack([signals[name] for name in self.outputs], axis=1)
             parts.append(rows @ recorded[samples][:-1] - jnp.concatenate([modelled.real, modelled.imag]))
         return jnp.concatenate(parts)
-
-    def transforms(
-        self, system: LinearSystem, theta: base.Theta, k: int, U: tuple[Array, Array], change: Float[Array, " s"]
-    ) -> Array:
-        """Transforms (f, c) of the outputs of manoeuvre `k`, complex; `U`: of the inputs, and their change."""
-        n, s = self.rows[k].shape[1], len(self.states)
-        dt = self.flights.channels["dt"][sum(self.flights.lengths[:k])]
-        phase = -jnp.angle(_complex(self.rows[k])[:, 1])  # of one sample
-        z = jnp.exp(1j * phase)[:, None, None]
-        A, B = system.matrix[:s, :s], system.matrix[:s, s:]
-        C, D = system.matrix[s:, :s], system.matrix[s:, s:]
-        i = B.shape[1]
-        big = jnp.zeros((s + 2 * i, s + 2 * i))  # x_{j+1} = P x_j + G u_j + H u_{j+1} for u linear between samples
-        big = big.at[:s, :s].set(A * dt).at[:s, s : s + i].set(B * dt).at[s : s + i, s + i :].set(jnp.eye(i))
-        step = expm(big)[:s]
-        P, G, H = step[:, :s], step[:, s : s + i] - step[:, s + i :], step[:, s + i :]
-        end = np.sqrt(2.0 / n) * (change - H @ U[1])
-        drive = U[0][..., None]
-        X = jnp.linalg.solve(z * jnp.eye(s) - P, (G + H * z) @ drive - z * end[:, None])[..., 0]
-        read = X @ C.T + U[0] @ D.T
-        values = self.dynamics.values(theta)
-        late = {name: values[p] for name, p in self.dynamics.delays(self.outputs).items()}
-        signals = {name: X[:, i] for i, name in enumerate(self.states)}
-        for row, name in enumerate(system.read):
-            signals[name] = read[:, row] + signals.get(name, 0.0)
-        delayed = {name: jnp.exp(-1j * phase / dt * late[name]) for name in late}
-        return jnp.stack([signals[name] * delayed.get(name, 1.0) for name in self.outputs], axis=1)
 
 
 def _complex(parts: Array | np.ndarray) -> Array:
@@ -471,14 +452,6 @@ def _complex(parts: Array | np.ndarray) -> Array:
 
 
 @eqx.filter_jit
-def _changes(responses: LinearFrequencyOutputError, theta, k: int):
-    """Derivatives (m, c, s) of the computed outputs of one manoeuvre by the change of its state."""
-    system, _ = responses.system_and_inputs(theta)
-    inputs = len(system.inputs_read) + 1
-    nothing = jnp.zeros((len(responses.rows[k]) // 2, inputs), complex), jnp.zeros(inputs)
-
-    def parts(change):
-        modelled = responses.transforms(system, theta, k, nothing, change)
-        return jnp.concatenate([modelled.real, modelled.imag])
-
-    return jax.jacfwd(parts)(jnp.zeros(len(responses.states)))
+def _changes(responses: LinearFrequencyOutputError, theta):
+    """Derivatives (m, c, w, s) of the residuals by the changes of the states."""
+    return jax.jacfwd(lambda x: replace(responses, changes=x).residual(theta))(jnp.asarray(responses.changes))
