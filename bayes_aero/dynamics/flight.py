@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.aircraft import ANGLES, LATERAL, MIN_LAG, FlightPath, Longitudinal, RigidBody, held_states
 from bayes_aero.dynamics.system import LinearSystem, System
-from bayes_aero.effect import Stage
+from bayes_aero.effect import MARKS, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, channel_units
@@ -50,6 +50,7 @@ class Dynamics(ABC):
 
     lengths: tuple[int, ...] = (1,)  # samples of the manoeuvres
     biased: tuple[tuple[str, Prior], ...] = ()
+    unmeasured: ClassVar[tuple[str, ...]] = ()  # outputs without a sensor on which the noise of others may depend
 
     @property
     @abstractmethod
@@ -93,11 +94,6 @@ class Dynamics(ABC):
     def units(self) -> Mapping[str, str]:
         """SI units of states that are channels of the card; the units of standard channels are known."""
         return {}
-
-    @property
-    def unmeasured(self) -> tuple[str, ...]:
-        """Outputs without a sensor on which the noise of the others may depend."""
-        return ()
 
     @cached_property
     def free(self) -> tuple[Parameter, ...]:
@@ -226,6 +222,7 @@ class AircraftDynamics(EffectDynamics):
     held: tuple[str, ...] = ()  # states that are prescribed, too
     heading: bool = False  # see `RigidBody`
     euler: bool = False
+    unmeasured = ("X",)
 
     @property
     def unbiased_parameters(self) -> tuple[Parameter, ...]:
@@ -275,10 +272,6 @@ class AircraftDynamics(EffectDynamics):
         simulated = (n for n in (*RIGID, *ANGLES, "altitude") if n in self.start)
         forces = {name for axis in self.model.axes for name in FORCES[axis]}
         return (*simulated, *(n for n in ("ax", "ay", "az") if n in forces), *self.further)
-
-    @property
-    def unmeasured(self) -> tuple[str, ...]:
-        return ("X",)
 
     def system(self, values: Values, aircraft: Aircraft) -> RigidBody:
         actual = self.model.actual_aircraft(values, aircraft) if values else aircraft
@@ -452,13 +445,11 @@ OWN = (  # errors that drift from one manoeuvre to the next, and the wind
     "vertical_wind",
 )  # fmt: skip
 SHOWN_BY = {"beta": "beta", "ay": "beta", "r": "beta", "phi": "phi", "p": "phi"}  # state that shows errors of a channel
-MARKS = {"dt", "start", "first", "last", "elapsed"}
 
 
 def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
     """The flights, their heading without jumps, and their flight path with the possible errors of their sensors."""
-    states = path_states(flights)
-    recorded = {*flights.recorded, *MARKS}
+    states, recorded = path_states(flights), {*flights.recorded, *MARKS}
     shown = [name for name in (*COMMON, *OWN) if SHOWN_BY.get(CATALOGUE[name].channels[0], states[0]) in states]
     chosen = [name for name in shown if set(CATALOGUE[name].channels) <= recorded]
     model = Model.of(chosen, axes=tuple(Axis))  # the path depends on all axes
