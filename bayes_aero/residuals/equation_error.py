@@ -454,4 +454,5 @@ def _complex(parts: Array | np.ndarray) -> Array:
 @eqx.filter_jit
 def _changes(responses: LinearFrequencyOutputError, theta):
     """Derivatives (m, c, w, s) of the residuals by the changes of the states."""
-    return jax.jacfwd(lambda x: replace(responses, changes=x).residual(theta))(jnp.asarray(responses.changes))
+    moved = lambda x: eqx.tree_at(lambda r: r.changes, responses, x).residual(theta)  # noqa: E731
+    return jax.jacfwd(moved)(jnp.asarray(responses.changes))
