@@ -251,18 +251,10 @@ def _deflection(symbol: str, channel: str) -> Regressor:
     return Regressor(symbol, (channel,), lambda c, s, _: c * s[channel], unit="1" if channel == "mach" else "1/rad")
 
 
-def _rate(channel: str) -> Regressor:
+def _rate(symbol: str, channel: str, per: Callable[..., Any], by_hand: str, length: Length) -> Regressor:
     return Regressor(
-        f"{channel} c/V", (channel, "airspeed"), lambda c, s, a: reduced(c * s[channel], s["airspeed"], a),
-        "{0:g} x {1:g} x 3/{2:g}, by hand, chord 3 m", "; length and speed as `reduced` has them", "1", (Length.RATE,),
-    )  # fmt: skip
-
-
-def _lateral_rate(channel: str) -> Regressor:
-    return Regressor(
-        f"{channel} b/2V", (channel, "airspeed"), lambda c, s, a: reduced_lateral(c * s[channel], s["airspeed"], a),
-        "{0:g} x {1:g} x 10/{2:g}, by hand, half span 10 m", "; length and speed as `reduced_lateral` has them", "1",
-        (Length.LATERAL_RATE,),
+        symbol, (channel, "airspeed"), lambda c, s, a: per(c * s[channel], s["airspeed"], a),
+        f"{{0:g}} x {{1:g}} x {by_hand}", f"; length and speed as `{per.__name__}` has them", "1", (length,),
     )  # fmt: skip
 
 
@@ -275,12 +267,13 @@ SYMBOLS = {
     "alpha": "alpha", "beta": "beta", "mach": "Mach", "elevator": "de", "stabilizer": "ih", "canard": "canard",
     "flap": "flap", "aileron": "da", "rudder": "dr",
 }  # fmt: skip
+HALF_SPAN = "10/{2:g}, by hand, half span 10 m"
 MEAN = "(left + right)/2", "{0:g} x ({1:g} + {2:g})/2, by hand"
 REGRESSORS = {
     "1": Regressor("", ("alpha",), lambda c, s, _: c + xp.zeros_like(s["alpha"]), "by definition", unit="1"),
     **{channel: _deflection(symbol, channel) for channel, symbol in SYMBOLS.items()},
-    **{channel: _rate(channel) for channel in ("q", "alpha_dot")},
-    **{channel: _lateral_rate(channel) for channel in ("p", "r")},
+    **{n: _rate(f"{n} c/V", n, reduced, "3/{2:g}, by hand, chord 3 m", Length.RATE) for n in ("q", "alpha_dot")},
+    **{n: _rate(f"{n} b/2V", n, reduced_lateral, HALF_SPAN, Length.LATERAL_RATE) for n in ("p", "r")},
     "dlc": _of_sides("dlc", 1.0, *MEAN),
     "spoilers": _of_sides("spoiler", 1.0, *MEAN),
     "spoiler difference": _of_sides("spoiler", -1.0, "(right - left)/2", "{0:g} x ({2:g} - {1:g})/2, by hand"),

@@ -31,7 +31,6 @@ THRUSTS = ("thrust", "thrust_left", "thrust_right")  # the last two where they a
 # fmt: off
 
 # Mass, inertia, centre of gravity.
-
 MASS_SCALE = effect("mass_scale", "The aircraft is heavier or lighter than the card says.",
     "True mass = (1 + mass_scale) of the card's; the inertias stay.",
     lambda v, _s, a, _: {"mass": v["mass_scale"] * a.mass},
@@ -77,7 +76,6 @@ LATERAL_CG_SHIFT = effect("lateral_cg_shift",
         "geometry, by hand"), source="geometry", kind=Kind.MASS, stage=Stage.AIRCRAFT, axis=Axis.LATERAL)
 
 # Thrust.
-
 THRUST_SCALE = effect("thrust_scale", "The engines deliver more or less thrust than the record says.",
     "True thrust = (1 + thrust_scale) computed thrust, of the left and the right engine too where recorded.",
     lambda v, s, *_: {name: v["thrust_scale"] * s[name] for name in THRUSTS if name in s},
@@ -142,7 +140,6 @@ THRUST_ASYMMETRY = effect("thrust_asymmetry",
     kind=Kind.PROPULSION, stage=Stage.CHANNEL, axis=Axis.LATERAL)
 
 # The air.
-
 DENSITY_SCALE = effect("density_scale", "The air is denser or thinner than the record says.",
     "Recorded = (1 + density_scale) true.",
     lambda v, s, *_: {"density": s["density"] / (1.0 + v["density_scale"]) - s["density"]},

@@ -19,7 +19,6 @@ def nelson(values: str) -> str:
 # fmt: off
 
 # Side force.
-
 SIDE_FORCE_OFFSET = derivative("side_force_offset", "The aircraft has a side force in straight symmetric flight.", "CY",
     "1", ("CY0", "side force of symmetric flight", 0.02, (0.004, 0.05)), (0.01, 0.1, 0.01), place=51,
     source=CONSTANT_TERM)
@@ -41,7 +40,6 @@ RUDDER_SIDE_FORCE = derivative("rudder_side_force",
     sign=Sign(1, "rudder", "a positive deflection (trailing edge left) would push the fin to the left"), place=56)
 
 # Rolling moment.
-
 ROLL_OFFSET = derivative("roll_offset",
     "The aircraft has a rolling moment in straight symmetric flight; ailerons with a wrong zero show one, too.", "Cl",
     "1", ("Cl0", "rolling moment of symmetric flight", 0.003, (0.0005, 0.01)), (0.001, 0.1, 0.001), place=61,
@@ -78,7 +76,6 @@ SIDESLIP_CUBED_ROLL = derivative("sideslip_cubed_roll", "The dihedral effect is 
     source=ODD_TERM)
 
 # Yawing moment.
-
 YAW_OFFSET = derivative("yaw_offset", "The aircraft has a yawing moment in straight symmetric flight.", "Cn", "1",
     ("Cn0", "yawing moment of symmetric flight", 0.003, (0.0005, 0.01)), (-0.001, 0.1, -0.001), place=71,
     source=CONSTANT_TERM)

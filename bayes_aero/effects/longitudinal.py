@@ -19,7 +19,6 @@ MACH_TERM = "first term of a Taylor series in Mach number; our choice of form"
 # fmt: off
 
 # Lift of the attached flow, and what the controls add to it.
-
 ATTACHED_LIFT = effect("attached_lift", "Lift grows linearly with the angle of attack while the flow is attached.",
     "CL_attached = CL0 + CLa alpha.", lambda v, s, *_: {"CL_attached": v["CL0"] + v["CLa"] * s["alpha"]},
     parameter("CL0", "1", "lift at zero angle of attack", Prior("normal", 0.2, 0.5), (0.01, 1.0), place=21),
@@ -63,7 +62,6 @@ SIDESLIP_LIFT = derivative("sideslip_lift", "Sideslip changes the lift.", "CL", 
     ("CLb2", "lift per sideslip squared", 10.0, (2.0, 20.0)), (-3.0, -0.1, -0.03), source=EVEN_TERM, stage=Stage.TOTAL)
 
 # Drag: the polar, then the controls, speed and sideslip.
-
 PROFILE_DRAG = derivative("profile_drag", "The aircraft has drag at zero lift.", "CD", "1",
     ("CD0", "zero-lift drag", Prior("normal", 0.04, 0.05), (0.001, 0.2)), (0.04, 0.1, 0.04),
     limits=Limits(0.0, math.inf, "drag without lift cannot be negative"), place=11, source=STALL_MODEL)
@@ -113,7 +111,6 @@ SIDESLIP_DRAG = derivative("sideslip_drag", "Sideslip adds drag.", "CD", "beta^2
     ("CDb2", "drag per sideslip squared", 2.5, (0.2, 5.0)), (0.8, 0.05, 0.002), source=EVEN_TERM, stage=Stage.TOTAL)
 
 # Pitching moment: static stability and damping.
-
 PITCHING_MOMENT = effect("pitching_moment",
     "The aircraft has a static pitching moment that changes linearly with the angle of attack.",
     "Cm += Cm0 + Cma alpha.", lambda v, s, *_: {"Cm": v["Cm0"] + v["Cma"] * s["alpha"]},
@@ -182,7 +179,6 @@ RUDDER_MOMENT = effect("rudder_moment", "Rudder deflection pitches the aircraft.
     source="even in the deflection by symmetry; our choice of form", stage=Stage.TOTAL)
 
 # Pitching moment of speed and sideslip.
-
 MACH_MOMENT = derivative("mach_moment", "The pitching moment changes with Mach number.", "Cm", "mach",
     ("CmM", "pitching moment per Mach number", 0.25, (0.02, 0.5)), (0.2, 0.25, 0.05), source=MACH_TERM,
     stage=Stage.TOTAL)

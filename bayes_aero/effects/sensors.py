@@ -76,7 +76,6 @@ def delay(
 
 
 # Air data.
-
 ALPHA_BIAS = bias("alpha_bias", "alpha", "angle of attack", "rad", sd=0.017, sizes=(0.002, 0.035),
     example=(0.01, 0.21, -0.01, "recorded 0.21, true 0.20"))
 ALPHA_SCALE = scale("alpha_scale", "alpha", "angle of attack", sd=0.1, sizes=(0.01, 0.2),
@@ -206,7 +205,6 @@ SIDESLIP_VANE_HEIGHT = sideslip_vane("sideslip_vane_height", "p", "roll",
     (2.0, 0.2, "-arctan(2 x 0.2/80), by hand"))
 
 # Rates.
-
 PITCH_RATE_BIAS = bias("pitch_rate_bias", "q", "pitch rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
     example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.050"))
 PITCH_RATE_SCALE = scale("pitch_rate_scale", "q", "pitch rate", sd=0.075, sizes=(0.01, 0.15),
@@ -221,7 +219,6 @@ YAW_RATE_SCALE = scale("yaw_rate_scale", "r", "yaw rate", sd=0.075, sizes=(0.01,
     example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.04"))
 
 # Specific forces.
-
 ACCEL_X_BIAS = bias("accel_x_bias", "ax", "longitudinal specific force", "m/s^2", sd=0.25, sizes=(0.01, 0.5),
     example=(0.05, 1.25, -0.05, "recorded 1.25, true 1.20"))
 ACCEL_Y_BIAS = bias("accel_y_bias", "ay", "lateral specific force", "m/s^2", sd=0.25, sizes=(0.02, 0.5),
@@ -277,7 +274,6 @@ ACCEL_Y_HEIGHT = sensor_error("accel_y_height",
     channels=("ay", "p", "q", "r"), source=POINT_ACCELERATION, axis=Axis.LATERAL)
 
 # Attitudes.
-
 PITCH_ATTITUDE_BIAS = bias("pitch_attitude_bias", "theta", "pitch attitude", "rad", sd=0.025, sizes=(0.002, 0.05),
     example=(0.02, 0.1, -0.02, "recorded 0.10, true 0.08"))
 BANK_ANGLE_BIAS = bias("bank_angle_bias", "phi", "bank angle", "rad", sd=0.025, sizes=(0.002, 0.05),
@@ -287,7 +283,6 @@ BANK_ANGLE_SCALE = scale("bank_angle_scale", "phi", "bank angle", sd=0.05, sizes
 HEADING_DELAY = delay("heading_delay", "psi", "heading", RISING, candidate=False)
 
 # Deflections of the control surfaces.
-
 ELEVATOR_SCALE = scale("elevator_scale", "elevator", "elevator deflection", sd=0.15, sizes=(0.02, 0.3),
     example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"))
 ELEVATOR_DELAY = delay("elevator_delay", "elevator", "elevator deflection", MOVED)

@@ -73,7 +73,6 @@ SEPARATION_HYSTERESIS = effect("separation_hysteresis",
     source="Goman and Khrabrov 1994: X depends on alpha - tau2 alpha_dot for both signs", stage=Stage.INCIDENCE)
 
 # Lift, drag and pitching moment of separated flow.
-
 KIRCHHOFF_LIFT = effect("kirchhoff_lift", "Separated flow loses lift as Kirchhoff's flow past a plate does.",
     "CL += CLa alpha (((1 + sqrt X)/2)^2 - 1), the mean of two wings, on the Mach-independent slope as published.",
     lambda v, s, _, known: {"CL": v["CLa"] * s["alpha"] * (kept_lift(known["X"], known["X_difference"]) - 1.0)},
@@ -109,7 +108,6 @@ SEPARATED_MOMENT = derivative("separated_moment", "Separated flow pitches the ai
     place=35, separated="1/4", source=STALL_MODEL)
 
 # Derivatives that change as the flow separates.
-
 SEPARATED_ALPHA_MOMENT = derivative("separated_alpha_moment", "Static stability changes as the flow separates.", "Cm",
     "alpha", ("CmaX", "change of static stability in fully separated flow", 1.0, (0.02, 2.0)), (-0.6, 0.25, -0.09),
     separated="0.4")
@@ -129,7 +127,6 @@ SEPARATED_ROLL_DAMPING = derivative("separated_roll_damping",
     separated="1/2")
 
 # A left and a right wing that stall at different angles: see `Model.flow`.
-
 WING_ASYMMETRY = derivative("wing_asymmetry",
     "One wing stalls at a smaller angle of attack than the other (the right one first where positive).",
     "incidence_difference", "1",
