@@ -305,7 +305,7 @@ def derivative(
     """`output` += parameter (`own`: name, description, prior, sizes) x regressor (`by`); x (1 - X) where `separated`: X
     of the example, as it is written. `example`: value of the parameter, of each signal and of the output. `remark`:
     more of the formula. Other fields are those of the parameter or of the effect."""
-    (coefficient, *described), r = own, REGRESSORS[by]
+    (coefficient, text, prior, sizes), r = own, REGRESSORS[by]
     value, *signals, result = example
     by_hand, symbol, known = r.by_hand.format(*example), r.symbol, None
     separated, remark = more.pop("separated", ""), more.pop("remark", "")
@@ -317,7 +317,7 @@ def derivative(
         by_hand = f"{value:g}{share}, by hand" if by == "1" else by_hand.replace(" x ", f"{share} x ", 1)
         symbol, fields = f"(1 - X) {symbol}", fields | {"source": SEPARATED_SHARE, "stage": Stage.TOTAL}
     of_parameter: dict[str, Any] = {key: more.pop(key) for key in FIELDS_OF_PARAMETER if key in more}
-    moment = (Length.LATERAL_MOMENT,) if output in ("Cl", "Cn") else ()
+    unit, moment = of_parameter.pop("unit", r.unit), (Length.LATERAL_MOMENT,) if output in ("Cl", "Cn") else ()
     given = dict(zip(r.signals, signals, strict=True))
     return effect(
         name,
@@ -326,9 +326,7 @@ def derivative(
         lambda v, s, a, flow: {
             output: r.times(v[coefficient] * (1.0 - flow["X"]) if separated else v[coefficient], s, a)
         },
-        parameter(
-            coefficient, of_parameter.pop("unit", r.unit), *described, lengths=(*moment, *r.lengths), **of_parameter
-        ),
+        parameter(coefficient, unit, text, prior, sizes, lengths=(*moment, *r.lengths), **of_parameter),
         example=Example({coefficient: value}, given, {output: result}, by_hand, known),
         **fields | more,
     )

@@ -238,7 +238,7 @@ class RigidBody(InGusts):
             flow, s, path, self.aircraft, implicit=implicit, axes=self.model.axes, prescribed=self.held
         )
         rotation = dict(zip(RATES, now.rotation, strict=True))
-        rates, changing = tuple(path[name] for name in RATES), {**now.rates, **rotation}
+        rates, changing = (path["p"], path["q"], path["r"]), {**now.rates, **rotation}
         if self.by_angles:
             changing |= dict(zip(ANGLES, euler_rates(rates, path["phi"], path["theta"]), strict=True))
         else:

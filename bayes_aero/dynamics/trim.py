@@ -149,9 +149,9 @@ SURFACES = ("spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap", "t
 class Condition(NamedTuple):
     """Straight level flight in SI; the bank that holds the sideslip follows."""
 
-    airspeed: float
-    altitude: float
-    sideslip: float = 0.0
+    airspeed: Any
+    altitude: Any
+    sideslip: Any = 0.0
 
 
 @dataclass(frozen=True)
@@ -350,8 +350,8 @@ def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: fl
         """Of these states in the motion of mode k."""
         return float(power[np.isin(moving, names), k].sum())
 
-    order = sorted(np.flatnonzero(eigenvalues.imag >= 0.0), key=lambda k: -abs(eigenvalues[k]))
-    oscillates = eigenvalues.imag > 0.0
+    order = sorted(map(int, np.flatnonzero(np.imag(eigenvalues) >= 0.0)), key=lambda k: -abs(eigenvalues[k]))
+    oscillates = np.imag(eigenvalues) > 0.0
     names = {}
     plane = [k for k in order if share(k, LATERAL) <= 0.5]
     # The faster oscillation is the short period. A single one is it if alpha varies more than speed.
