@@ -11,13 +11,14 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxtyping import Float
 
-from bayes_aero.arrays import AnyArray
-from bayes_aero.parameter import Lengths, Parameter, Prior, Role
+from bayes_aero.arrays import AnyArray, xp
+from bayes_aero.parameter import Length, Lengths, Parameter, Prior, Role
 from bayes_aero.physics.aircraft import COEFFICIENTS, LATERAL, NAMES, Aircraft, Axis
+from bayes_aero.physics.kinematics import reduced, reduced_lateral, speed_ratio
 
 Values = Mapping[str, Any]
 """Parameter values by name."""
@@ -194,17 +195,16 @@ def parameter(
     name: str,
     unit: str,
     description: str,
-    prior: Prior,
+    prior: Prior | float,
     sizes: tuple[float, float],
     bounds: tuple[float, float] = (-math.inf, math.inf),
-    *,
-    neutral: float = 0.0,
-    start: float | None = None,
     **fields: Any,
 ) -> tuple[Parameter, tuple[float, float]]:
-    """A parameter of `effect`, and its sizes; see `Parameter` and `Effect`. It starts at neutral unless told."""
-    start = neutral if start is None else start
-    return Parameter(name, unit, neutral, start, description, prior, bounds, **fields), sizes
+    """A parameter of `effect`, and its sizes; see `Parameter` and `Effect`. A number as prior is the standard deviation
+    about zero. Unless stated, neutral is zero and estimation starts where the prior lies."""
+    prior = prior if isinstance(prior, Prior) else Prior("normal", 0.0, prior)
+    fields = {"neutral": 0.0, "start": prior.location} | fields
+    return Parameter(name, unit, description=description, prior=prior, bounds=bounds, **fields), sizes
 
 
 def effect(
@@ -214,19 +214,122 @@ def effect(
     increments: Callable[[Values, Signals, Aircraft, Known], Increments],
     *parameters: tuple[Parameter, tuple[float, float]],
     example: Example,
-    source: str,
-    kind: Kind = Kind.AERODYNAMICS,
-    stage: Stage = Stage.ATTACHED,
-    channels: tuple[str, ...] | None = None,
     **fields: Any,
 ) -> Effect:
     """An effect as one entry of a table (see `Effect`); it needs the signals and uses the parameters of its example."""
-    own = {p.name: sizes for p, sizes in parameters}
+    sizes = {p.name: size for p, size in parameters}
+    fields = {"kind": Kind.AERODYNAMICS, "stage": Stage.ATTACHED} | fields
+    fields.setdefault("channels", tuple(n for n in example.signals if n not in MARKS))
     return Effect(
-        name, kind, stage, claim, tuple(p for p, _ in parameters),
-        tuple(n for n in example.signals if n not in MARKS) if channels is None else channels, increments, example,
-        source, uses=tuple(n for n in example.parameters if n not in own), sizes=own, formula=formula, **fields,
+        name=name, claim=claim, formula=formula, increments=increments, parameters=tuple(p for p, _ in parameters),
+        example=example, uses=tuple(n for n in example.parameters if n not in sizes), sizes=sizes, **fields,
     )  # fmt: skip
+
+
+# --- Aerodynamic derivatives: linear in what they multiply.
+
+DERIVATIVE = "a linear aerodynamic derivative; textbook form"
+SEPARATED_SHARE = "derivative linear in the separated share 1 - X; our choice of form"
+STALL_MODEL = "Jategaonkar 2015, ch. 12, Kirchhoff stall model"
+
+
+class Regressor(NamedTuple):
+    """What a derivative multiplies: how formulas write it, its signals, the product with a coefficient, how the worked
+    example writes the numbers (the last signal of a rate is the airspeed), what the formula says of it, and the unit
+    and the reference lengths of its coefficient."""
+
+    symbol: str
+    signals: tuple[str, ...]
+    times: Callable[[Any, Signals, Aircraft], Any]
+    by_hand: str = "{0:g} x {1:g}, by hand"
+    remark: str = ""
+    unit: str = "1/rad"
+    lengths: tuple[Length, ...] = ()
+
+
+def _deflection(symbol: str, channel: str) -> Regressor:
+    return Regressor(symbol, (channel,), lambda c, s, _: c * s[channel], unit="1" if channel == "mach" else "1/rad")
+
+
+def _rate(symbol: str, channel: str, per: Callable[..., Any], by_hand: str, length: Length) -> Regressor:
+    return Regressor(
+        symbol, (channel, "airspeed"), lambda c, s, a: per(c * s[channel], s["airspeed"], a),
+        f"{{0:g}} x {{1:g}} x {by_hand}", f"; length and speed as `{per.__name__}` has them", "1", (length,),
+    )  # fmt: skip
+
+
+def _of_sides(surface: str, left: float, symbol: str, by_hand: str) -> Regressor:
+    names = f"{surface}_left", f"{surface}_right"
+    return Regressor(symbol, names, lambda c, s, _: c * 0.5 * (s[names[1]] + left * s[names[0]]), by_hand)
+
+
+SYMBOLS = {
+    "alpha": "alpha", "beta": "beta", "mach": "Mach", "elevator": "de", "stabilizer": "ih", "canard": "canard",
+    "flap": "flap", "aileron": "da", "rudder": "dr",
+}  # fmt: skip
+HALF_SPAN = "10/{2:g}, by hand, half span 10 m"
+MEAN = "(left + right)/2", "{0:g} x ({1:g} + {2:g})/2, by hand"
+REGRESSORS = {
+    "1": Regressor("", ("alpha",), lambda c, s, _: c + xp.zeros_like(s["alpha"]), "by definition", unit="1"),
+    **{channel: _deflection(symbol, channel) for channel, symbol in SYMBOLS.items()},
+    **{n: _rate(f"{n} c/V", n, reduced, "3/{2:g}, by hand, chord 3 m", Length.RATE) for n in ("q", "alpha_dot")},
+    **{n: _rate(f"{n} b/2V", n, reduced_lateral, HALF_SPAN, Length.LATERAL_RATE) for n in ("p", "r")},
+    "dlc": _of_sides("dlc", 1.0, *MEAN),
+    "spoilers": _of_sides("spoiler", 1.0, *MEAN),
+    "spoiler difference": _of_sides("spoiler", -1.0, "(right - left)/2", "{0:g} x ({2:g} - {1:g})/2, by hand"),
+    "alpha beta": Regressor(
+        "alpha beta", ("alpha", "beta"), lambda c, s, _: c * s["alpha"] * s["beta"], "{0:g} x {1:g} x {2:g}, by hand",
+        unit="1/rad^2",
+    ),
+    "beta^2": Regressor(
+        "beta^2", ("beta",), lambda c, s, _: c * s["beta"] * s["beta"], "{0:g} x ({1:g})^2, by hand",
+        ": even in beta, for the aircraft is symmetric", "1/rad^2",
+    ),
+    "beta^3": Regressor(
+        "beta^3", ("beta",), lambda c, s, _: c * s["beta"] * s["beta"] * s["beta"], "{0:g} x ({1:g})^3, by hand",
+        ": odd in beta, for the aircraft is symmetric", "1/rad^3",
+    ),
+    "speed": Regressor(
+        "V/V0", ("airspeed",), lambda c, s, a: c * speed_ratio(s["airspeed"], a),
+        "{0:g} x {1:g}/100, by hand, V0 100 m/s",
+        "; V0 is the card's reference_speed, or 100 m/s where the card names none. A stand-in, at one altitude, for "
+        "Mach number, thrust and elasticity alike, so diagnosis never proposes it", "1",
+    ),
+}  # fmt: skip
+FIELDS_OF_PARAMETER = ("unit", "start", "bounds", "sign", "limits", "place")
+
+
+def derivative(
+    name: str, claim: str, output: str, by: str, own: tuple[str, str, Any, Any], example: tuple[float, ...], **more: Any
+) -> Effect:
+    """`output` += parameter (`own`: name, description, prior, sizes) x regressor (`by`); x (1 - X) where `separated`: X
+    of the example, as it is written. `example`: value of the parameter, of each signal and of the output. `remark`:
+    more of the formula. Other fields are those of the parameter or of the effect."""
+    (coefficient, text, prior, sizes), r = own, REGRESSORS[by]
+    value, *signals, result = example
+    by_hand, symbol, known = r.by_hand.format(*example), r.symbol, None
+    separated, remark = more.pop("separated", ""), more.pop("remark", "")
+    fields = {"source": DERIVATIVE, "together": by in ("dlc", "spoilers", "spoiler difference")}
+    if separated:
+        above, _, below = separated.partition("/")
+        known = {"X": float(above) / float(below or 1)}
+        share = f" x (1 - {separated})"
+        by_hand = f"{value:g}{share}, by hand" if by == "1" else by_hand.replace(" x ", f"{share} x ", 1)
+        symbol, fields = f"(1 - X) {symbol}", fields | {"source": SEPARATED_SHARE, "stage": Stage.TOTAL}
+    of_parameter: dict[str, Any] = {key: more.pop(key) for key in FIELDS_OF_PARAMETER if key in more}
+    unit, moment = of_parameter.pop("unit", r.unit), (Length.LATERAL_MOMENT,) if output in ("Cl", "Cn") else ()
+    given = dict(zip(r.signals, signals, strict=True))
+    return effect(
+        name,
+        claim,
+        f"{output} += {coefficient} {symbol}".rstrip() + f"{remark}{r.remark}.",
+        lambda v, s, a, flow: {
+            output: r.times(v[coefficient] * (1.0 - flow["X"]) if separated else v[coefficient], s, a)
+        },
+        parameter(coefficient, unit, text, prior, sizes, lengths=(*moment, *r.lengths), **of_parameter),
+        example=Example({coefficient: value}, given, {output: result}, by_hand, known),
+        **fields | more,
+    )
 
 
 class Untestable(str):

@@ -82,13 +82,12 @@ class Prior:
         import jax.numpy as jnp
         import jax.scipy.stats as stats
 
-        if self.family == "normal":
-            return stats.norm.logpdf(x, self.location, self.scale)
-        if self.family == "halfnormal":
-            above = stats.norm.logpdf(x, self.location, self.scale) + jnp.log(2.0)
-            return jnp.where(x >= self.location, above, -jnp.inf)
         if self.family == "uniform":
             return stats.uniform.logpdf(x, self.location, self.scale)
+        if self.family in ("normal", "halfnormal"):
+            density = stats.norm.logpdf(x, self.location, self.scale)
+            above = jnp.where(x >= self.location, density + jnp.log(2.0), -jnp.inf)
+            return density if self.family == "normal" else above
         safe = jnp.where(x > 0.0, x, 1.0)
         density = stats.norm.logpdf(jnp.log(safe), math.log(self.location), self.scale) - jnp.log(safe)
         return jnp.where(x > 0.0, density, -jnp.inf)
@@ -104,13 +103,12 @@ class Prior:
 
     def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
         """`size` independent draws, shape (size,)."""
-        if self.family == "normal":
-            return rng.normal(self.location, self.scale, size)
-        if self.family == "halfnormal":
-            return self.location + np.abs(rng.normal(0.0, self.scale, size))
         if self.family == "uniform":
             return rng.uniform(self.location, self.location + self.scale, size)
-        return self.location * np.exp(rng.normal(0.0, self.scale, size))
+        away = rng.normal(0.0, self.scale, size)
+        if self.family == "lognormal":
+            return self.location * np.exp(away)
+        return self.location + (away if self.family == "normal" else np.abs(away))
 
 
 @dataclass(frozen=True)
@@ -186,10 +184,9 @@ def per_length(parameter: Parameter, card: Lengths) -> Parameter:
     if times == 1.0:
         return parameter
     prior, limits, text = parameter.prior, parameter.limits, parameter.description
-    if Length.LATERAL_RATE in parameter.lengths:
-        text = text.replace("b/2V", "l/V, l the card's lateral_rate_length")
-    if Length.RATE in parameter.lengths:
-        text = text.replace("c/V", "l/V, l the card's rate_length")
+    for length, written in ((Length.LATERAL_RATE, "b/2V"), (Length.RATE, "c/V")):
+        if length in parameter.lengths:
+            text = text.replace(written, f"l/V, l the card's {length.name.lower()}_length")
     usual = " and ".join(USUALLY[length] for length in parameter.lengths)
     return replace(
         parameter,

@@ -21,7 +21,7 @@ from bayes_aero.diagnosis.candidate_set import ENOUGH, CandidateModel, manoeuvre
 from bayes_aero.diagnosis.result import TestPoint
 from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.selection_state import SelectionState, inverse, linearised
-from bayes_aero.dynamics.pilot import ANYWHERE, EXCITED_CHANNELS, LATERAL_EXCITED_CHANNELS, fly_standard
+from bayes_aero.dynamics.pilot import ANYWHERE, EXCITED_CHANNELS, fly_standard
 from bayes_aero.dynamics.trim import Condition
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
@@ -368,7 +368,7 @@ def standard(
     made, seconds, refused = fly_standard(
         small, values, aircraft, Condition(**start), dt=dt, amplitude=amplitude, envelope=envelope
     )
-    moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
+    moved = {n: c for n, c in EXCITED_CHANNELS.items() if rigid or c != "aileron"}
     unseen = {n: moved[n] for n in made if n in moved and moved[n] not in flights.recorded}
     flown = {}
     for name, channels in ((n, channels) for n, channels in made.items() if n not in unseen):

@@ -27,9 +27,8 @@ from bayes_aero.diagnosis.result import (
     theil_parts,
 )
 from bayes_aero.diagnosis.selection import Extension, large
-from bayes_aero.dynamics.flight import aircraft_dynamics, with_biases_of
-from bayes_aero.dynamics.innovations import neighbour_correlation, prediction_errors
-from bayes_aero.dynamics.kalman import smooth
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.kalman import neighbour_correlation, prediction_errors, smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.covariance import corrected_covariance, median_inflation, variance_inflation
@@ -357,8 +356,11 @@ def with_lag(
         replace(p, bounds=(max(neutral[p.name], p.bounds[0]), p.bounds[1])) if p.name in neutral else p
         for p in model.parameters
     ]
-    dynamics = aircraft_dynamics(replace(model, parameters=tuple(bounded)), flights)
-    dynamics = with_biases_of(extended.fit.flown.dynamics, dynamics)
+    dynamics, earlier = (
+        aircraft_dynamics(replace(model, parameters=tuple(bounded)), flights),
+        extended.fit.flown.dynamics,
+    )
+    dynamics = replace(dynamics, biased=earlier.biased, lengths=earlier.lengths)
     fitted = dict(zip(extended.fit.names, map(float, extended.fit.estimate), strict=True))
     start = np.array([fitted.get(p.name, p.start) for p in dynamics.free])
     whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -21,55 +21,9 @@ from bayes_aero.dynamics.system import Row, System
 from bayes_aero.effect import Stage
 from bayes_aero.flight.card import HOLDABLE
 from bayes_aero.model.model import Model
-from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import FLIGHT, RIGID, Aircraft, Axis, air
-from bayes_aero.physics.coefficients import AircraftMotion, accelerometers, motion_of_aircraft
-from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.physics.kinematics import (
-    RATES,
-    Attitude,
-    Rotation,
-    down_of,
-    euler_rates,
-    lever_arm,
-    motion_of_path,
-)
-
-# --- Prescribed motion of an aircraft as recorded, and the outputs of its simulation.
-
-SIDE = ("p", "r", "beta", "phi")  # the lateral force follows from these where no accelerometer measures it
-ENGINES = ("thrust", "thrust_left", "thrust_right")
-
-
-def recorded_drives(
-    axes: Collection[Axis], held: Sequence[str], read: Sequence[str], channels: Mapping[str, Array], flights: Flights
-) -> dict[str, Array]:
-    """Channels that are `read`, `held` states with their rates, forces of axes without a model."""
-    drives = {name: channels[name] for name in (*read, "density") if name in channels}
-    sloped = [n for n in (*RATES, "alpha") if n in held and n in channels]
-    drives |= {f"{name}_dot": _slope(channels[name], flights) for name in sloped}
-    if Axis.LONGITUDINAL not in axes:
-        rates = [channels[name] for name in RATES]
-        turning = Rotation(*rates, *(_slope(x, flights) for x in rates))
-        arm = lever_arm(turning, flights.aircraft.accelerometer)
-        drives |= {"force_x": channels["ax"] - arm[0], "force_z": channels["az"] - arm[2]}
-    if Axis.LATERAL not in axes:
-        drives |= {"ay": channels["ay"]} if "ay" in channels else {}
-        if "ay" not in channels and all(name in channels for name in SIDE):
-            drives["beta_dot"] = _slope(channels["beta"], flights)
-    if {"mach", "airspeed"} <= set(channels):
-        drives["sound"] = channels["airspeed"] / channels["mach"]
-    return drives | {f"near_{n}": channels[n] for n in ("phi", "psi") if n in channels and n not in held}
-
-
-def _slope(x: Array, flights: Flights) -> Array:
-    begin, parts = 0, []
-    for length in flights.lengths:
-        part = slice(begin, begin + length)
-        parts.append(differentiate(smooth(x[part]), flights.channels["dt"][begin]))
-        begin += length
-    return jnp.concatenate(parts)
-
+from bayes_aero.physics.coefficients import accelerometers, motion_of_aircraft
+from bayes_aero.physics.kinematics import RATES, Attitude, down_of, euler_rates, motion_of_path
 
 # --- Systems in gusts: states over ground, and the flow at vane, pitot tube and wing.
 
@@ -143,108 +97,14 @@ class FlightPath(InGusts):
         force = (u["force_x"], u["force_y"], u["force_z"])
         rates = motion_of_path(s, force)
         rates["psi"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
-        decay, _ = self.mean_gust_rates(state, flow)
-        return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {
-            n: flow[n] for n in FLOW if n in state
-        }
+        derivative = [*(rates[name] for name in self.named), *self.mean_gust_rates(state, flow)[0]]
+        return jnp.stack(derivative), state | {n: flow[n] for n in FLOW if n in state}
 
 
-# --- Common part of the aircraft models in three and six degrees of freedom: signals, flow, separation.
+# --- The aircraft with its effects.
 
 POINTS = ("X", "X_right", "X_left")  # states of separation points: of the whole wing, or of either one
 MIN_LAG = 0.2  # chords: some hundredth of a second, still resolved by the finest step
-
-
-class EffectSystem(InGusts):
-    """An aircraft with its model at given parameter values; without `altitude` among the states density is an input."""
-
-    altitude: bool = eqx.field(static=True, default=True)
-
-    @property
-    def envelope(self) -> Mapping[str, tuple[float, float]]:
-        return ENVELOPE
-
-    @property
-    def lagged(self) -> bool:
-        return any(e.stage is Stage.LAG for e in self.model.acting)
-
-    @property
-    def points(self) -> tuple[str, ...]:
-        """States of the lagged separation points: one, or one for the right and one for the left wing."""
-        if not self.lagged:
-            return ()
-        return POINTS[1:] if self.model.two_wings else POINTS[:1]
-
-    @property
-    def implicit(self) -> bool:
-        """Whether lift depends on alpha-dot at the same instant: directly, or through a separation without lag."""
-        before = (Stage.INCIDENCE, Stage.SEPARATION)
-        stages = [e.stage for e in self.model.acting if "alpha_dot" in e.channels]
-        return any(stage not in before or not self.lagged for stage in stages)
-
-    @property
-    def after(self) -> tuple[str, ...]:
-        gusts = tuple(d.state for d in self.model.disturbances)
-        return (*(("altitude",) if self.altitude else ()), *gusts, *self.points)
-
-    def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
-        return dict(zip(self.states, x, strict=True))
-
-    def complete_start(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """The initial state with the separation points at their static values."""
-        if not self.lagged:
-            return x
-        s = self.flow_signals(self.state_at_start(x), u)
-        static = self.model.static_points(self.values, s | {"alpha_dot": jnp.zeros_like(s["alpha"])}, self.aircraft)
-        return x.at[-len(static) :].set(jnp.stack(static))
-
-    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
-        s = dict(u) | {name: value for name, value in self.named(x).items() if name not in POINTS}
-        s |= self.model.inflow(self.values, s, self.aircraft)
-        if "density" not in s:
-            s["density"] = air(s["altitude"])[0]
-        if "sound" in u or "altitude" in s:
-            s["mach"] = s["airspeed"] / (u["sound"] if "sound" in u else air(s["altitude"])[1])
-        s.setdefault("thrust", jnp.zeros_like(s["alpha"]))
-        return s
-
-    def flow(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> dict[str, Any]:
-        """Flow and coefficients by the effects from these signals, with the lagged separation points."""
-        lagging = tuple(state[name] for name in self.points)
-        X = lagging if len(lagging) > 1 else next(iter(lagging), None)
-        return self.model.flow(self.values, s, self.aircraft, X=X)
-
-    def separation_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> list[Any]:
-        """Rates of the states after the gusts, the lagged separation points, 1/s; `s` contains alpha-dot."""
-        if not self.lagged:
-            return []
-        static = self.model.static_points(self.values, s, self.aircraft)
-        lag = jnp.maximum(self.model.lag(self.values), MIN_LAG) * self.aircraft.chord / s["airspeed"]
-        return [(value - state[name]) / lag for name, value in zip(self.points, static, strict=True)]
-
-    def motion_now(
-        self, x: Float[Array, " s"], u: Row, axes: Collection[Axis], prescribed: Collection[str]
-    ) -> tuple[AircraftMotion, dict[str, Any], dict[str, Any], list[Any]]:
-        """The motion, signals of the flow with alpha-dot, the path over ground, and the rates of the states `after`."""
-        state, s = self.named(x), self.flow_signals(x, u)
-        decay, gust_rate = self.mean_gust_rates(state, s)
-        path = dict.fromkeys(("beta", "p", "r", "phi"), jnp.zeros_like(s["alpha"])) | s
-        path |= {name: state[name] for name in FLOW if name in state}
-        path.setdefault("down", down_of(path["phi"], path["theta"]))
-        now = motion_of_aircraft(
-            lambda rate: self.flow(state, s | {"alpha_dot": rate + gust_rate}),
-            s,
-            path,
-            self.aircraft,
-            implicit=self.implicit,
-            axes=axes,
-            prescribed=prescribed,
-        )
-        s = s | {"alpha_dot": now.rates["alpha"] + gust_rate}
-        altitude = [now.rates["altitude"]] if self.altitude else []
-        return now, s, path, [*altitude, *decay, *self.separation_rates(state, s)]
-
-
 ANGLES = ("phi", "theta", "psi")
 QUATERNION = Attitude._fields
 HELD: Mapping[Axis, tuple[str, ...]] = {
@@ -266,12 +126,34 @@ def held_states(axes: Iterable[Axis], more: Iterable[str] = ()) -> tuple[str, ..
     return tuple(name for name in HOLDABLE if name in held)
 
 
-class RigidBody(EffectSystem):
-    """The aircraft in six degrees of freedom; without `heading` the heading starts at zero and is no output."""
+class RigidBody(InGusts):
+    """An aircraft in six degrees of freedom with its model at given parameter values. Without `altitude` among the
+    states density is an input; without `heading` the heading starts at zero and is no output."""
 
+    altitude: bool = eqx.field(static=True, default=True)
     held: tuple[str, ...] = eqx.field(static=True, default=())
     heading: bool = eqx.field(static=True, default=True)
     euler: bool = eqx.field(static=True, default=False)
+
+    @property
+    def envelope(self) -> Mapping[str, tuple[float, float]]:
+        return ENVELOPE
+
+    @property
+    def lagged(self) -> bool:
+        return any(e.stage is Stage.LAG for e in self.model.acting)
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """States of the lagged separation points: one, or one for the right and one for the left wing."""
+        if not self.lagged:
+            return ()
+        return POINTS[1:] if self.model.two_wings else POINTS[:1]
+
+    @property
+    def after(self) -> tuple[str, ...]:
+        gusts = tuple(d.state for d in self.model.disturbances)
+        return (*(("altitude",) if self.altitude else ()), *gusts, *self.points)
 
     @property
     def by_angles(self) -> bool:
@@ -303,26 +185,70 @@ class RigidBody(EffectSystem):
         given |= dict(zip(QUATERNION, turned, strict=True))
         return jnp.stack([given[name] for name in self.states])
 
+    def complete_start(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
+        """The initial state with the separation points at their static values."""
+        if not self.lagged:
+            return x
+        s = self.flow_signals(self.state_at_start(x), u)
+        static = self.model.static_points(self.values, s | {"alpha_dot": jnp.zeros_like(s["alpha"])}, self.aircraft)
+        return x.at[-len(static) :].set(jnp.stack(static))
+
     def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
-        state = super().named(x)
+        state = dict(zip(self.states, x, strict=True))
         if self.by_angles:
             return state
         attitude = Attitude(*(state.pop(name) for name in QUATERNION))
         return state | dict(zip(ANGLES, attitude.angles, strict=True)) | {"down": attitude.down}
 
+    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
+        s = dict(u) | {name: value for name, value in self.named(x).items() if name not in POINTS}
+        s |= self.model.inflow(self.values, s, self.aircraft)
+        if "density" not in s:
+            s["density"] = air(s["altitude"])[0]
+        if "sound" in u or "altitude" in s:
+            s["mach"] = s["airspeed"] / (u["sound"] if "sound" in u else air(s["altitude"])[1])
+        s.setdefault("thrust", jnp.zeros_like(s["alpha"]))
+        return s
+
+    def flow(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> dict[str, Any]:
+        """Flow and coefficients by the effects from these signals, with the lagged separation points."""
+        lagging = tuple(state[name] for name in self.points)
+        X = lagging if len(lagging) > 1 else next(iter(lagging), None)
+        return self.model.flow(self.values, s, self.aircraft, X=X)
+
+    def separation_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> list[Any]:
+        """Rates of the states after the gusts, the lagged separation points, 1/s; `s` contains alpha-dot."""
+        if not self.lagged:
+            return []
+        static = self.model.static_points(self.values, s, self.aircraft)
+        lag = jnp.maximum(self.model.lag(self.values), MIN_LAG) * self.aircraft.chord / s["airspeed"]
+        return [(value - state[name]) / lag for name, value in zip(self.points, static, strict=True)]
+
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        now, s, path, after = self.motion_now(x, u, self.model.axes, self.held)
-        rates = (path["p"], path["q"], path["r"])
-        changing = dict(now.rates) | dict(zip(RATES, now.rotation, strict=True))
+        state, s = self.named(x), self.flow_signals(x, u)
+        decay, gust_rate = self.mean_gust_rates(state, s)
+        path = dict.fromkeys(("beta", "p", "r", "phi"), jnp.zeros_like(s["alpha"])) | s
+        path |= {name: state[name] for name in FLOW if name in state}
+        path.setdefault("down", down_of(path["phi"], path["theta"]))
+        # lift depends on alpha-dot at the same instant: directly, or through a separation without lag
+        lagging = (Stage.INCIDENCE, Stage.SEPARATION) if self.lagged else ()
+        implicit = any(e.stage not in lagging for e in self.model.acting if "alpha_dot" in e.channels)
+        flow = lambda rate: self.flow(state, s | {"alpha_dot": rate + gust_rate})  # noqa: E731
+        now = motion_of_aircraft(
+            flow, s, path, self.aircraft, implicit=implicit, axes=self.model.axes, prescribed=self.held
+        )
+        rotation = dict(zip(RATES, now.rotation, strict=True))
+        rates, changing = (path["p"], path["q"], path["r"]), {**now.rates, **rotation}
         if self.by_angles:
             changing |= dict(zip(ANGLES, euler_rates(rates, path["phi"], path["theta"]), strict=True))
         else:
             attitude = Attitude(*(x[self.states.index(name)] for name in QUATERNION))
             changing |= dict(zip(QUATERNION, attitude.turned(rates), strict=True))
+        s = s | {"alpha_dot": now.rates["alpha"] + gust_rate}
+        after = [*([now.rates["altitude"]] if self.altitude else []), *decay, *self.separation_rates(state, s)]
         derivative = [changing[name] for name in self.states[: len(self.states) - len(after)]]
-        accelerations = {f"{n}_dot": x for n, x in zip(RATES, now.rotation, strict=True)}
-        outputs = accelerometers(now, path, self.aircraft) | accelerations | {"alpha_dot": s["alpha_dot"]}
-        outputs |= {n: s[n] for n in (*RIGID, "theta", "altitude") if n in s}
+        outputs = accelerometers(now, path, self.aircraft) | {f"{n}_dot": x for n, x in rotation.items()}
+        outputs |= {n: s[n] for n in ("alpha_dot", *RIGID, "theta", "altitude") if n in s}
         for n in ("phi", "psi"):
             if n in path:
                 turns = TURN * jnp.round((u[f"near_{n}"] - path[n]) / TURN) if f"near_{n}" in u else 0.0
@@ -349,6 +275,4 @@ class Longitudinal(RigidBody):
     def states(self) -> tuple[str, ...]:
         return (*FLIGHT, *self.after)
 
-    @property
-    def start(self) -> tuple[str, ...]:
-        return self.states
+    start = states

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -12,21 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.aircraft import (
-    ANGLES,
-    ENGINES,
-    LATERAL,
-    MIN_LAG,
-    SIDE,
-    EffectSystem,
-    FlightPath,
-    Longitudinal,
-    RigidBody,
-    held_states,
-    recorded_drives,
-)
-from bayes_aero.dynamics.system import LinearSystem, OfPlain, System
-from bayes_aero.effect import Stage
+from bayes_aero.dynamics.aircraft import ANGLES, LATERAL, MIN_LAG, FlightPath, Longitudinal, RigidBody, held_states
+from bayes_aero.dynamics.system import LinearSystem, System
+from bayes_aero.effect import MARKS, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import ONE, Card, LinearCard, channel_units
@@ -35,36 +23,66 @@ from bayes_aero.flight.health.kinematics import dead_heading
 from bayes_aero.model.model import Model, as_on_card
 from bayes_aero.model.observations import response_scales
 from bayes_aero.model.records import Flights
-from bayes_aero.parameter import Limits, Parameter, Prior, Role, Sign
+from bayes_aero.parameter import Parameter, Prior, Role
 from bayes_aero.physics import kinematics
 from bayes_aero.physics.aircraft import FORCES, NO_AIRCRAFT, RIGID, Aircraft, Axis, needed_channels
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.units import si_unit
 
 Values = Mapping[str, Any]
+Channels = Mapping[str, Array]
 OUTPUTS = ("airspeed", "alpha", "theta", "q", "altitude", "ax", "az")
 ON_REQUEST = ("p_dot", "q_dot", "r_dot")  # mostly differentiated rates, without information of their own
 MAX_SUBSTEPS = 8  # integration steps a sample
 DERIVED = ("alpha_dot", "q_dot", "X", "mach", "density")  # computed by the simulation
+SIDE = ("p", "r", "beta", "phi")  # the lateral force follows from these where no accelerometer measures it
+ENGINES = ("thrust", "thrust_left", "thrust_right")
+PATH_FORCES = ("force_x", "force_y", "force_z")  # specific force at the centre of gravity
 
 
+@dataclass(frozen=True, kw_only=True)
 class Dynamics(ABC):
-    """A parametrised system. Hashable and without arrays, so that it is static under `jax.jit`."""
+    """A parametrised system. Hashable and without arrays, so that it is static under `jax.jit`. A record without one
+    of the `inputs` cannot be simulated; `outputs` are simulated and can be compared with the record. `biased` outputs
+    have a constant error for each manoeuvre with these priors, estimated together with the initial states: parameters
+    bias_output_number."""
+
+    lengths: tuple[int, ...] = (1,)  # samples of the manoeuvres
+    biased: tuple[tuple[str, Prior], ...] = ()
+    unmeasured: ClassVar[tuple[str, ...]] = ()  # outputs without a sensor on which the noise of others may depend
 
     @property
     @abstractmethod
-    def free(self) -> tuple[Parameter, ...]:
-        """The free parameters, in the order of every parameter vector."""
+    def unbiased_parameters(self) -> tuple[Parameter, ...]: ...
+
+    @property
+    @abstractmethod
+    def states(self) -> tuple[str, ...]: ...
+
+    @property
+    @abstractmethod
+    def inputs(self) -> tuple[str, ...]: ...
+
+    @property
+    @abstractmethod
+    def outputs(self) -> tuple[str, ...]: ...
+
+    @abstractmethod
+    def unbiased_values(self, theta: Any) -> dict[str, Any]:
+        """Parameter values by name without the biases, from the vector of the free ones."""
+
+    @abstractmethod
+    def system(self, values: Values, aircraft: Aircraft) -> System:
+        """The system at these parameter values."""
+
+    @abstractmethod
+    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, Array]:
+        """Inputs of the simulation from the corrected channels, manoeuvres end to end."""
 
     @property
     def disturbance_parameters(self) -> frozenset[str]:
         """Names of the free parameters that belong to disturbances."""
         return frozenset()
-
-    @property
-    @abstractmethod
-    def states(self) -> tuple[str, ...]:
-        """Names of the states."""
 
     @property
     def start(self) -> tuple[str, ...]:
@@ -76,49 +94,39 @@ class Dynamics(ABC):
         """SI units of states that are channels of the card; the units of standard channels are known."""
         return {}
 
-    @property
-    @abstractmethod
-    def inputs(self) -> tuple[str, ...]:
-        """Input channels; a record without one of them cannot be simulated."""
-
-    @property
-    @abstractmethod
-    def outputs(self) -> tuple[str, ...]:
-        """Channels that are simulated and can be compared with the record."""
-
-    @property
-    def unmeasured(self) -> tuple[str, ...]:
-        """Outputs without a sensor on which the noise of the others may depend."""
-        return ()
-
-    @abstractmethod
-    def system(self, values: Values, aircraft: Aircraft) -> System:
-        """The system at these parameter values."""
-
-    @abstractmethod
-    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
-        """Inputs of the simulation from the corrected channels, manoeuvres end to end."""
-
-    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:  # noqa: ARG002
-        """The recorded channels corrected for the model's sensor errors."""
-        return channels
-
-    def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:  # noqa: ARG002
-        """Derivatives of the corrected outputs by the recorded ones."""
-        return {}
-
-    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:  # noqa: ARG002
-        """Parameters that delay these outputs, by output."""
-        return {}
+    @cached_property
+    def free(self) -> tuple[Parameter, ...]:
+        """The free parameters, in the order of every parameter vector."""
+        unit = lambda output: STANDARD_CHANNELS[output].unit if output in STANDARD_CHANNELS else "SI"  # noqa: E731
+        biases = [
+            Parameter(name, unit(output), 0.0, 0.0, f"bias of recorded {output}, manoeuvre {k + 1}", prior)
+            for output, prior in self.biased
+            for k, name in enumerate(of_each(f"bias_{output}", len(self.lengths)))
+        ]
+        return (*self.unbiased_parameters, *biases)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
         return tuple(p.name for p in self.free)
 
-    @abstractmethod
     def values(self, theta: Any) -> dict[str, Any]:
         """All parameter values by name, from the vector of the free ones."""
+        k = len(self.unbiased_parameters)
+        return self.unbiased_values(theta[:k]) | {name: theta[i] for i, name in enumerate(self.names) if i >= k}
+
+    def corrected(self, values: Values, channels: Channels, aircraft: Aircraft) -> Channels:  # noqa: ARG002
+        """The record corrected for biases and the model's sensor errors; it gives the measured initial state, too."""
+        biases = {n: along_each(values, f"bias_{n}", self.lengths) for n, _ in self.biased}
+        return {**channels, **{n: channels[n] - bias for n, bias in biases.items()}} if biases else channels
+
+    def scales(self, values: Values, flights: Flights) -> Channels:  # noqa: ARG002
+        """Derivatives of the corrected outputs by the recorded ones."""
+        return {}
+
+    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:  # noqa: ARG002
+        """Parameters that delay these outputs, by output."""
+        return {}
 
     def substeps(self, theta: Any, flights: Flights) -> int:
         """Integration steps a sample that follow the system's fast states, at most `MAX_SUBSTEPS`."""
@@ -132,6 +140,33 @@ class Dynamics(ABC):
     def slowest_step(self, values: Values, flights: Flights) -> float:  # noqa: ARG002
         """Longest integration step in s that follows the system's fast states."""
         return np.inf
+
+
+def of_each(name: str, manoeuvres: int) -> list[str]:
+    """Names of a parameter that has a value for each manoeuvre, in their order."""
+    return [f"{name}_{k + 1}" for k in range(manoeuvres)]
+
+
+def along_each(values: Values, name: str, lengths: Sequence[int]) -> Array:
+    """The values of such a parameter at every sample of manoeuvres of these lengths, (n,)."""
+    sizes = jnp.stack([values[n] for n in of_each(name, len(lengths))])
+    return sizes[np.repeat(np.arange(len(lengths)), lengths)]
+
+
+def biased_dynamics(dynamics: Dynamics, flights: Flights, priors: Mapping[str, Prior]) -> Dynamics:
+    """The dynamics with a bias of each named output for each manoeuvre, with these priors (SI)."""
+    for name in priors:
+        if name not in dynamics.outputs or name not in flights.channels:
+            possible = ", ".join(n for n in dynamics.outputs if n in flights.channels)
+            raise InputError(
+                f"{name} cannot have a bias: it was not recorded or is not simulated; there are {possible}"
+            )
+    return replace(dynamics, biased=tuple(priors.items()), lengths=flights.lengths) if priors else dynamics
+
+
+def unbiased(dynamics: Dynamics) -> Dynamics:
+    """The dynamics without the biases of outputs."""
+    return replace(dynamics, biased=())
 
 
 @dataclass(frozen=True)
@@ -151,21 +186,30 @@ class EffectDynamics(Dynamics):
     def disturbance_parameters(self) -> frozenset[str]:
         return frozenset(p.name for e in self.model.acting if e.disturbance is not None for p in e.parameters)
 
-    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
-        return self.model.corrected(values, channels, aircraft)
+    def corrected(self, values: Values, channels: Channels, aircraft: Aircraft) -> Channels:
+        return self.model.corrected(values, super().corrected(values, channels, aircraft), aircraft)
 
-    def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
+    def scales(self, values: Values, flights: Flights) -> Channels:
         if not any(e.stage is Stage.CHANNEL for e in self.model.acting):
             return {}
         return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
 
     def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
-        return {
-            e.channels[0]: p.name
-            for e in self.model.acting
-            for p in e.parameters
-            if p.role is Role.DELAY and e.channels[0] in outputs
-        }
+        late = [(e.channels[0], p) for e in self.model.acting for p in e.parameters if p.role is Role.DELAY]
+        return {channel: p.name for channel, p in late if channel in outputs}
+
+
+def _slope(flights: Flights) -> Callable[[Array], Array]:
+    """Time derivative of a channel of these flights, smoothed."""
+    ends = [flights.channels[name] for name in ("dt", "first", "last")]
+    return lambda x: differentiate_joined(smooth_joined(x, *ends[1:]), *ends)
+
+
+def _at_centre(channels: Channels, flights: Flights) -> list[Array]:
+    """How the accelerometers differ from the specific force at the centre of gravity, by their place; (n,) an axis."""
+    rates = [channels[name] for name in kinematics.RATES]
+    turning = kinematics.Rotation(*rates, *map(_slope(flights), rates))
+    return list(kinematics.lever_arm(turning, flights.aircraft.accelerometer))
 
 
 @dataclass(frozen=True)
@@ -177,17 +221,21 @@ class AircraftDynamics(EffectDynamics):
     held: tuple[str, ...] = ()  # states that are prescribed, too
     heading: bool = False  # see `RigidBody`
     euler: bool = False
+    unmeasured = ("X",)
 
     @property
-    def free(self) -> tuple[Parameter, ...]:
+    def unbiased_parameters(self) -> tuple[Parameter, ...]:
         return self.model.free
+
+    def unbiased_values(self, theta: Any) -> dict[str, Any]:
+        return self.model.values(theta)
 
     @property
     def rigid(self) -> bool:
         return bool(self.held) or Axis.LATERAL in self.model.axes
 
     @cached_property
-    def _pattern(self) -> EffectSystem:
+    def _pattern(self) -> RigidBody:
         return self.system({}, NO_AIRCRAFT)
 
     @property
@@ -213,35 +261,40 @@ class AircraftDynamics(EffectDynamics):
     def inputs(self) -> tuple[str, ...]:
         """Channels that the effects read and the simulation does not compute, and held states of a rigid body."""
         made = {*self.start, *DERIVED, *LATERAL, "dt", "start", "elapsed", "first", "last"}
-        acting = [e for e in self.model.acting if e.stage > Stage.INFLOW]
-        asked = (c for e in acting for c in e.channels if c not in made)
-        return tuple(dict.fromkeys((*asked, *self.prescribed)))
+        read = (c for e in self.model.acting if e.stage > Stage.INFLOW for c in e.channels if c not in made)
+        return tuple(dict.fromkeys((*read, *self.prescribed)))
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        if self.rigid:
-            simulated = (n for n in (*RIGID, *ANGLES, "altitude") if n in self.start)
-            forces = {name for axis in self.model.axes for name in FORCES[axis]}
-            return (*simulated, *(n for n in ("ax", "ay", "az") if n in forces), *self.further)
-        return (*(name for name in OUTPUTS if name != "altitude" or self.altitude), *self.further)
+        if not self.rigid:
+            return (*(name for name in OUTPUTS if name != "altitude" or self.altitude), *self.further)
+        simulated = (n for n in (*RIGID, *ANGLES, "altitude") if n in self.start)
+        forces = {name for axis in self.model.axes for name in FORCES[axis]}
+        return (*simulated, *(n for n in ("ax", "ay", "az") if n in forces), *self.further)
 
-    @property
-    def unmeasured(self) -> tuple[str, ...]:
-        return ("X",)
-
-    def values(self, theta: Any) -> dict[str, Any]:
-        return self.model.values(theta)
-
-    def system(self, values: Values, aircraft: Aircraft) -> EffectSystem:
+    def system(self, values: Values, aircraft: Aircraft) -> RigidBody:
         actual = self.model.actual_aircraft(values, aircraft) if values else aircraft
         if not self.rigid:
             return Longitudinal(self.model, dict(values), actual, self.altitude)
         return RigidBody(self.model, dict(values), actual, self.altitude, self.prescribed, self.heading, self.euler)
 
-    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
-        """Prescribed channels, derivatives; without `ay` the rate of sideslip, which gives the lateral force."""
+    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+        """What effects read, held states with their rates, forces of axes without a model; without `ay` the rate of
+        sideslip, which gives the lateral force."""
         held, read = (self.prescribed, ENGINES) if self.rigid else ((*LATERAL, "psi"), (*LATERAL, "thrust"))
-        return recorded_drives(self.model.axes, held, (*self.inputs, *read), channels, flights)
+        slope, axes = _slope(flights), self.model.axes
+        drives = {name: channels[name] for name in (*self.inputs, *read, "density") if name in channels}
+        drives |= {f"{n}_dot": slope(channels[n]) for n in (*kinematics.RATES, "alpha") if n in held and n in channels}
+        if Axis.LONGITUDINAL not in axes:
+            arm = _at_centre(channels, flights)
+            drives |= {"force_x": channels["ax"] - arm[0], "force_z": channels["az"] - arm[2]}
+        if Axis.LATERAL not in axes:
+            drives |= {"ay": channels["ay"]} if "ay" in channels else {}
+            if "ay" not in channels and all(name in channels for name in SIDE):
+                drives["beta_dot"] = slope(channels["beta"])
+        if {"mach", "airspeed"} <= set(channels):
+            drives["sound"] = channels["airspeed"] / channels["mach"]
+        return drives | {f"near_{n}": channels[n] for n in ("phi", "psi") if n in channels and n not in held}
 
     def slowest_step(self, values: Values, flights: Flights) -> float:
         """Half the time constant of the separation point's lag at the highest airspeed."""
@@ -290,85 +343,6 @@ def taken_as_zero(flights: Flights) -> list[str]:
     return [*missing, "ay"] if missing and slips and "ay" not in flights.channels else missing
 
 
-# --- Parameters that have a value for each manoeuvre.
-
-
-def of_each(name: str, manoeuvres: int) -> list[str]:
-    """Their names, in the order of the manoeuvres."""
-    return [f"{name}_{k + 1}" for k in range(manoeuvres)]
-
-
-def along_each(values: Values, name: str, lengths: Sequence[int]) -> Array:
-    """Their values at every sample of manoeuvres of these lengths, (n,)."""
-    sizes = jnp.stack([values[n] for n in of_each(name, len(lengths))])
-    return sizes[np.repeat(np.arange(len(lengths)), lengths)]
-
-
-# --- Constant errors of recorded outputs, one for each manoeuvre, estimated together with the initial states.
-
-
-@dataclass(frozen=True)
-class BiasedDynamics(Dynamics):
-    """The dynamics `plain` with biased recorded outputs, a bias for each manoeuvre; parameters bias_output_number."""
-
-    plain: Dynamics
-    biased: tuple[tuple[str, Prior], ...]
-    lengths: tuple[int, ...]  # samples of the manoeuvres
-
-    disturbance_parameters: ClassVar[Any] = OfPlain()
-    states: ClassVar[Any] = OfPlain()
-    start: ClassVar[Any] = OfPlain()
-    units: ClassVar[Any] = OfPlain()
-    inputs: ClassVar[Any] = OfPlain()
-    outputs: ClassVar[Any] = OfPlain()
-    unmeasured: ClassVar[Any] = OfPlain()
-    system: ClassVar[Any] = OfPlain()
-    drives: ClassVar[Any] = OfPlain()
-    scales: ClassVar[Any] = OfPlain()
-    delays: ClassVar[Any] = OfPlain()
-    slowest_step: ClassVar[Any] = OfPlain()
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        unit = lambda output: STANDARD_CHANNELS[output].unit if output in STANDARD_CHANNELS else "SI"  # noqa: E731
-        biases = [
-            Parameter(name, unit(output), 0.0, 0.0, f"bias of recorded {output}, manoeuvre {k + 1}", prior)
-            for output, prior in self.biased
-            for k, name in enumerate(of_each(f"bias_{output}", len(self.lengths)))
-        ]
-        return (*self.plain.free, *biases)
-
-    def values(self, theta: Any) -> dict[str, Any]:
-        k = len(self.plain.free)
-        return self.plain.values(theta[:k]) | {name: theta[i] for i, name in enumerate(self.names) if i >= k}
-
-    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
-        """The corrected record without its biases, from which the measured initial state is also taken."""
-        unbiased = {n: channels[n] - along_each(values, f"bias_{n}", self.lengths) for n, _ in self.biased}
-        return self.plain.corrected(values, {**channels, **unbiased}, aircraft)
-
-
-def biased_dynamics(dynamics: Dynamics, flights: Flights, priors: Mapping[str, Prior]) -> Dynamics:
-    """The dynamics with a bias of each named output for each manoeuvre, with these priors (SI)."""
-    for name in priors:
-        if name not in dynamics.outputs or name not in flights.channels:
-            possible = ", ".join(n for n in dynamics.outputs if n in flights.channels)
-            raise InputError(
-                f"{name} cannot have a bias: it was not recorded or is not simulated; there are {possible}"
-            )
-    return BiasedDynamics(dynamics, tuple(priors.items()), flights.lengths) if priors else dynamics
-
-
-def unbiased(dynamics: Dynamics) -> Dynamics:
-    """The dynamics without the biases of outputs."""
-    return dynamics.plain if isinstance(dynamics, BiasedDynamics) else dynamics
-
-
-def with_biases_of(other: Dynamics, plain: Dynamics) -> Dynamics:
-    """`plain` with the biases of `other`, if it has any."""
-    return replace(other, plain=plain) if isinstance(other, BiasedDynamics) else plain
-
-
 # --- The flight path of recorded accelerations and rates: kinematics without aerodynamics.
 # States are what other sensors measure: airspeed, alpha, theta, as far as recorded beta, phi, psi, altitude; and gusts.
 # Inputs are the accelerometers and gyros. Sensor errors are effects that correct the record. Source: Klein and Morelli,
@@ -376,7 +350,6 @@ def with_biases_of(other: Dynamics, plain: Dynamics) -> Dynamics:
 
 INERTIAL = frozenset(("ax", "ay", "az", "p", "q", "r"))
 JUMP = 0.2  # rad from sample to sample: faster than any aircraft turns
-PATH_FORCES = ("force_x", "force_y", "force_z")  # specific force at the centre of gravity
 
 
 @dataclass(frozen=True)
@@ -384,16 +357,18 @@ class PathDynamics(EffectDynamics):
     """The flight path under a model of sensor errors and of gusts."""
 
     named: tuple[str, ...]
-    lengths: tuple[int, ...]  # samples of the manoeuvres
-    own: tuple[str, ...] = ()  # parameters with a value for each, of effects that act sample by sample
+    own: tuple[str, ...] = ()  # parameters with a value for each manoeuvre, of effects that act sample by sample
 
     @cached_property
-    def free(self) -> tuple[Parameter, ...]:
-        several = len(self.lengths) > 1
-        common = [p for p in self.model.free if not (several and p.name in self.own)]
-        each = [p for p in self.model.free if several and p.name in self.own]
+    def unbiased_parameters(self) -> tuple[Parameter, ...]:
+        own = self.own if len(self.lengths) > 1 else ()
+        each = [p for p in self.model.free if p.name in own]
         by_manoeuvre = [replace(p, name=name) for p in each for name in of_each(p.name, len(self.lengths))]
-        return (*common, *by_manoeuvre)
+        return (*(p for p in self.model.free if p.name not in own), *by_manoeuvre)
+
+    def unbiased_values(self, theta: Any) -> dict[str, Any]:
+        values = dict(self.model.fixed) | {p.name: theta[i] for i, p in enumerate(self.unbiased_parameters)}
+        return values | {n: along_each(values, n, self.lengths) for n in self.own if f"{n}_1" in values}
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -407,17 +382,13 @@ class PathDynamics(EffectDynamics):
     def outputs(self) -> tuple[str, ...]:
         return self.named
 
-    def values(self, theta: Any) -> dict[str, Any]:
-        found = dict(self.model.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
-        several = [n for n in self.own if f"{n}_1" in found]
-        return found | {name: along_each(found, name, self.lengths) for name in several}
-
     def system(self, values: Values, aircraft: Aircraft) -> System:
         kept = {n: values[n] for n in self.disturbance_parameters | {d.intensity for d in self.model.disturbances}}
         return FlightPath(self.model, kept, aircraft, self.named)
 
-    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
+    def corrected(self, values: Values, channels: Channels, aircraft: Aircraft) -> Channels:
         """Errors of accelerometers and gyros first: a vane away from the centre of gravity senses the true rates."""
+        channels = Dynamics.corrected(self, values, channels, aircraft)
         for part in self._in_order:
             channels = part.corrected(values, channels, aircraft)
         return channels
@@ -428,14 +399,10 @@ class PathDynamics(EffectDynamics):
         rest = [e for e in self.model.effects if e not in inertial]
         return [Model.of(part, axes=tuple(Axis)) for part in (inertial, rest)]
 
-    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Specific force at the centre of gravity, rates, and prescribed quantities of the path."""
         true = kinematics.as_symmetric(channels)
-        ends = [channels[name] for name in ("dt", "first", "last")]
-        slope = lambda x: differentiate_joined(smooth_joined(x, *ends[1:]), *ends)  # noqa: E731
-        p, q, r = (true[name] for name in kinematics.RATES)
-        turning = kinematics.Rotation(p, q, r, *(slope(x) for x in (p, q, r)))
-        arm = kinematics.lever_arm(turning, flights.aircraft.accelerometer)
+        arm = _at_centre(true, flights)
         force = {n: true[a] - x for n, a, x in zip(PATH_FORCES, ("ax", "ay", "az"), arm, strict=True)}
         made = {*self.named, "ay", *kinematics.RATES}
         given = (*kinematics.RATES, *(name for name in kinematics.STRAIGHT if name not in made))
@@ -476,18 +443,13 @@ OWN = (  # errors that drift from one manoeuvre to the next, and the wind
     "accel_x_bias", "accel_y_bias", "accel_z_bias", "roll_rate_bias", "pitch_rate_bias", "yaw_rate_bias",
     "vertical_wind",
 )  # fmt: skip
-SHOWN_BY = dict.fromkeys(  # for errors of lateral sensors, the state that depends on them
-    ("sideslip_vane_position", "sideslip_vane_height", "sideslip_scale", "sideslip_bias", "sideslip_delay",
-     "accel_y_bias", "yaw_rate_bias"), "beta"
-) | {"bank_angle_bias": "phi", "roll_rate_bias": "phi"}  # fmt: skip
-MARKS = {"dt", "start", "first", "last", "elapsed"}
+SHOWN_BY = {"beta": "beta", "ay": "beta", "r": "beta", "phi": "phi", "p": "phi"}  # state that shows errors of a channel
 
 
 def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
     """The flights, their heading without jumps, and their flight path with the possible errors of their sensors."""
-    states = path_states(flights)
-    recorded = {*flights.recorded, *MARKS}
-    shown = [name for name in (*COMMON, *OWN) if SHOWN_BY.get(name, states[0]) in states]
+    states, recorded = path_states(flights), {*flights.recorded, *MARKS}
+    shown = [name for name in (*COMMON, *OWN) if SHOWN_BY.get(CATALOGUE[name].channels[0], states[0]) in states]
     chosen = [name for name in shown if set(CATALOGUE[name].channels) <= recorded]
     model = Model.of(chosen, axes=tuple(Axis))  # the path depends on all axes
     if card.linear is None:
@@ -502,7 +464,7 @@ def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
     if "psi" in states:
         turned = flights.channels | {"psi": jnp.asarray(heading(flights))}
         flights = replace(flights, channels=turned)
-    return flights, PathDynamics(model, states, flights.lengths, own)
+    return flights, PathDynamics(model, states, own, lengths=flights.lengths)
 
 
 # --- Linear state-space models in dimensional derivatives: short period, lateral motion, or any other rows of a card.
@@ -527,7 +489,6 @@ class LinearDynamics(Dynamics):
     rows: LinearCard
     parameters: tuple[Parameter, ...]
     named: tuple[tuple[str, str], ...] = ()
-    lengths: tuple[int, ...] = (1,)  # samples of the manoeuvres
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -537,11 +498,14 @@ class LinearDynamics(Dynamics):
     def fixed(self) -> dict[str, float]:
         return dict(self.rows.fixed)
 
-    @property
-    def free(self) -> tuple[Parameter, ...]:
+    @cached_property
+    def unbiased_parameters(self) -> tuple[Parameter, ...]:
         free = [p for p in self.parameters if p.name not in self.fixed]
-        many = {name: of_each(name, len(self.lengths)) for name in self.rows.by_manoeuvre}
+        many = {name: self.names_of(name) for name in self.rows.by_manoeuvre}
         return tuple(replace(p, name=name) for p in free for name in many.get(p.name, [p.name]))
+
+    def unbiased_values(self, theta: Any) -> dict[str, Any]:
+        return self.fixed | {p.name: theta[i] for i, p in enumerate(self.unbiased_parameters)}
 
     @property
     def flat(self) -> tuple[str, ...]:
@@ -559,22 +523,17 @@ class LinearDynamics(Dynamics):
     def outputs(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys((*self.rows.states, *self.rows.outputs)))
 
-    def values(self, theta: Any) -> dict[str, Any]:
-        return self.fixed | {name: theta[i] for i, name in enumerate(self.names)}
-
-    def system(self, values: Values, aircraft: Aircraft) -> System:  # noqa: ARG002
+    def system(self, values: Values, aircraft: Aircraft) -> LinearSystem:  # noqa: ARG002
         own = self.rows.by_manoeuvre
-        inputs_read = (*self.inputs, *own)
-        columns = (*self.states, *inputs_read, ONE)
+        columns = (*self.states, *self.inputs, *own, ONE)
         terms = [(i, t) for i, (_, row) in enumerate(self.rows.rows) for t in row]
         across = [columns.index(t.parameter if t.parameter in own else t.channel) for _, t in terms]
-        sizes = [t.factor * (1.0 if t.parameter in own else values[t.parameter]) for _, t in terms]
-        entries = jnp.stack([jnp.asarray(size, float) for size in sizes])
+        sizes = [jnp.asarray(t.factor * (1.0 if t.parameter in own else values[t.parameter]), float) for _, t in terms]
         places = jnp.array([i for i, _ in terms]), jnp.array(across)
-        matrix = jnp.zeros((len(self.rows.rows), len(columns))).at[places].add(entries)
-        return LinearSystem(matrix, self.states, inputs_read, self.rows.outputs)
+        matrix = jnp.zeros((len(self.rows.rows), len(columns))).at[places].add(jnp.stack(sizes))
+        return LinearSystem(matrix, self.states, columns[len(self.states) : -1], self.rows.outputs)
 
-    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Recorded inputs, and a constant, which gives the number of samples where there are no inputs."""
         own = {name: along_each(values, name, self.lengths) for name in self.rows.by_manoeuvre}
         return {name: channels[name] for name in self.inputs} | own | {ONE: jnp.ones_like(channels["dt"])}
@@ -589,42 +548,27 @@ class LinearDynamics(Dynamics):
 def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynamics:
     """The linear system of a card, with its starting values, bounds and priors. `lengths` are the samples of the
     manoeuvres, for constants that differ between them."""
-    if card.linear is None:
+    rows, units = card.linear, channel_units(card)
+    if rows is None:
         raise InputError(f"card {card.name} has no section [linear]; add it, or use its [model]")
-    units = channel_units(card)
-    parameters = []
-    for name in card.linear.parameters:
-        unit, text = _meaning(name, card.linear, units)
-        parameter = replace(Parameter(name, unit, 0.0, 0.0, text, FLAT), **_sign_or_limits(name, card.linear))
-        parameters.append(as_on_card(parameter, card))
-    named = tuple((name, units[name]) for name in card.linear.states)
-    return LinearDynamics(card.linear, tuple(parameters), named, lengths)
-
-
-def _sign_or_limits(name: str, rows: LinearCard) -> dict[str, Sign | Limits]:
-    for state, terms in zip(rows.states, rows.rates, strict=True):
+    stated = {name: Parameter(name, "s", 0.0, 0.0, f"delay of recorded {output}", FLAT) for output, name in rows.delays}
+    for index, (row, terms) in enumerate(rows.rows):
+        rate = index < len(rows.states)
         for term in terms:
+            per = "constant part" if term.channel == ONE else f"per {term.channel}"
+            unit = f"({units[row]}){'/s' if rate else ''}/({units[term.channel]})"
+            unit = si_unit(unit.replace("/(1)", "").replace("(1)", "1")).replace("**", "^")
+            new = Parameter(term.parameter, unit, 0.0, 0.0, f"{'rate of ' if rate else ''}{row}, {per}", FLAT)
+            known = stated.setdefault(term.parameter, new)
             channel, half = PART_OF.get(term.channel, (term.channel, 1.0))
-            if term.parameter == name and (state, channel) in ALIKE:
-                like = CATALOGUE[ALIKE[state, channel]].parameters[0]
+            if rate and (row, channel) in ALIKE and known.sign is None and known.limits is None:
+                like = CATALOGUE[ALIKE[row, channel]].parameters[0]
                 side = 1 if half * term.factor > 0.0 else -1
                 if like.sign is not None:
-                    return {"sign": replace(like.sign, side=side * like.sign.side, channel=term.channel)}
-                if like.limits is not None and side > 0:
-                    return {"limits": like.limits}
-    return {}
-
-
-def _meaning(name: str, rows: LinearCard, units: Mapping[str, str]) -> tuple[str, str]:
-    for output, parameter in rows.delays:
-        if parameter == name:
-            return "s", f"delay of recorded {output}"
-    for index, (row, terms) in enumerate(rows.rows):
-        for term in terms:
-            if term.parameter == name:
-                rate = index < len(rows.states)
-                unit = f"({units[row]}){'/s' if rate else ''}/({units[term.channel]})"
-                per = "constant part" if term.channel == ONE else f"per {term.channel}"
-                unit = si_unit(unit.replace("/(1)", "").replace("(1)", "1")).replace("**", "^")
-                return unit, f"{'rate of ' if rate else ''}{row}, {per}"
-    raise KeyError(name)
+                    sign = replace(like.sign, side=side * like.sign.side, channel=term.channel)
+                    stated[term.parameter] = replace(known, sign=sign)
+                elif side > 0:
+                    stated[term.parameter] = replace(known, limits=like.limits)
+    named = tuple((name, units[name]) for name in rows.states)
+    parameters = tuple(as_on_card(stated[name], card) for name in rows.parameters)
+    return LinearDynamics(rows, parameters, named, lengths=lengths)

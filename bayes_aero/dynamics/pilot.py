@@ -1,7 +1,4 @@
-"""Simulation of a model: longitudinal equations of motion, with the effects of the coefficient fit.
-
-Bank angle and sideslip are prescribed (see `Plant`). Flat earth, no wind.
-"""
+"""Simulation of a model with a pilot at the controls, in three or six degrees of freedom, and flight-test inputs."""
 
 from __future__ import annotations
 
@@ -15,24 +12,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import brentq
 
+from bayes_aero.dynamics import trim as steady
 from bayes_aero.dynamics.aircraft import RigidBody
 from bayes_aero.dynamics.flight import Values
-from bayes_aero.dynamics.system import Row, System, advance, integrate, later, step
-from bayes_aero.dynamics.trim import (
-    CONTROLS,
-    SIGNALS,
-    SURFACES,
-    Condition,
-    RigidTrim,
-    Trim,
-    control_signs,
-    lead,
-    refuse_unsimulated,
-    rigid_trim,
-    trimmed,
-)
+from bayes_aero.dynamics.system import Row, System, advance, integrate, later
 from bayes_aero.effect import Stage
-from bayes_aero.errors import InputError
 from bayes_aero.model import observations as observations
 from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import DEFAULT_RANGES, GRAVITY, Aircraft, Axis, Envelope, air, excursion
@@ -58,19 +42,14 @@ class FlightState(NamedTuple):
     trim: Any = 0.0  # the pilot's trim command, rad
 
 
-PRESCRIBED = ("thrust", "stabilizer", "rudder", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap")
 TURNING = {"phi": "phi_rate", "phi_rate": "phi_acceleration", "beta": "beta_dot", "beta_dot": "beta_acceleration"}
-INPUTS = (
-    "time", *PRESCRIBED, *dict.fromkeys((*TURNING, *TURNING.values())), "alpha_led", "command", "dCL", "dCD", "dCm",
-)  # fmt: skip
-"""Inputs of `Plant`, SI: the stabilizer in addition to the pilot's command; bank and sideslip with their derivatives;
-the commanded alpha `alpha_led`, and the pilot's command in addition to feedback and trim; disturbances of the
-coefficients.
-"""
+DISTURBED_COEFFICIENTS = ("CL", "CD", "Cm")
 
 
 class Plant(System):
-    """The aircraft with its model. The disturbance is multiplied by 1 + `buffet` (1 - X)."""
+    """The aircraft with its model. Inputs: bank and sideslip with their derivatives, the commanded alpha `led_alpha`,
+    the pilot's `command` in addition to feedback and trim, other controls, and disturbances `dCL`, `dCD`, `dCm` of the
+    coefficients, which are multiplied by 1 + `buffet` (1 - X)."""
 
     model: Model = eqx.field(static=True)
     values: dict[str, Any]
@@ -87,7 +66,7 @@ class Plant(System):
         state = FlightState(*x)
         density, sound = air(state.altitude)
         s = dict(u) | {name: getattr(state, name) for name in ("airspeed", "alpha", "theta", "q", "altitude")}
-        feedback = self.gains[0] * (state.alpha - u["alpha_led"]) + self.gains[1] * state.q
+        feedback = self.gains[0] * (state.alpha - u["led_alpha"]) + self.gains[1] * state.q
         command = u["command"] + feedback + state.trim
         s |= {"elevator": self.shares[0] * command, "stabilizer": u["stabilizer"] + self.shares[1] * command}
         s |= {"density": density, "mach": state.airspeed / sound}
@@ -99,7 +78,7 @@ class Plant(System):
             X = jnp.where(self.model.lag(self.values) > 0.0, state.lagged_X, static)
             known = self.model.flow(self.values, known, self.aircraft, X=X)
             growth = 1.0 + self.buffet * (1.0 - X)
-            return known | {"static_X": static} | {n: known[n] + growth * s[f"d{n}"] for n in ("CL", "CD", "Cm")}
+            return known | {"static_X": static} | {n: known[n] + growth * s[f"d{n}"] for n in DISTURBED_COEFFICIENTS}
 
         implicit = any("alpha_dot" in effect.channels for effect in self.model.acting)
         now = motion_of_aircraft(flow, s, s, self.aircraft, implicit=implicit)
@@ -107,7 +86,7 @@ class Plant(System):
         rates["theta"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[1]
         lag = self.model.lag(self.values) * self.aircraft.chord / state.airspeed
         X_dot = jnp.where(lag > 0.0, (now.flow["static_X"] - state.lagged_X) / jnp.where(lag > 0.0, lag, 1.0), 0.0)
-        derivative = FlightState(**rates, lagged_X=X_dot, trim=self.gains[2] * (state.alpha - u["alpha_led"]))
+        derivative = FlightState(**rates, lagged_X=X_dot, trim=self.gains[2] * (state.alpha - u["led_alpha"]))
         change = rates | {name: u[rate] for name, rate in TURNING.items()}
         turning = jax.jvp(self.turn, ({name: s[name] for name in change},), (change,))[1]
         now = now._replace(rotation=(turning["p"], now.q_dot, turning["r"]))
@@ -162,49 +141,53 @@ class Pilot(NamedTuple):
 
 
 def fly(
-    model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: float
-) -> dict[str, Float[np.ndarray, " n"]]:
-    """All signals of the flight by the names of recorded channels, and CL, CD, Cm, X; (n,), SI. Inputs are linear
-    between samples. Held inputs would lag their record by half a sample, which a diagnosis finds as a delay of the
-    elevator."""
-    return fly_together(model, values, aircraft, [pilot], [start], dt)[0]
+    model: Model,
+    values: Values,
+    aircraft: Aircraft,
+    pilots: Sequence[Pilot],
+    starts: Sequence[FlightState | steady.RigidTrim],
+    dt: float,
+) -> list[dict[str, Float[np.ndarray, " n"]]]:
+    """All signals of flights of one length by the names of recorded channels, and CL, CD, Cm, X; (n,), SI; NaN from
+    where a flight breaks down. From a `RigidTrim` in six degrees of freedom, else in three. Inputs are linear between
+    samples: held, they would lag their record by half a sample, which a diagnosis finds as a delay of the elevator."""
+    values = {name: jnp.asarray(x, float) for name, x in values.items()}
+    if isinstance(starts[0], steady.RigidTrim):
+        return [_fly_rigid(model, values, aircraft, *row, dt) for row in zip(pilots, starts, strict=True)]  # type: ignore[arg-type]
+    gains = [np.array([p.alpha_gain, p.rate_gain, p.trim_gain, p.buffet], float) for p in pilots]
+    rows = zip(*(map(_signals, pilots), gains, (np.array(start, float) for start in starts)), strict=True)
+    stacked = (jax.tree.map(lambda *x: np.stack(x), *row) for row in zip(*rows, strict=True))
+    several = jax.tree.map(np.asarray, _fly_several(model, values, aircraft, *stacked, jnp.asarray(dt)))
+    flights = [{name: x[k] for name, x in several.items()} for k in range(len(pilots))]
+    return [flight | {f"thrust_{side}": 0.5 * flight["thrust"] for side in ("left", "right")} for flight in flights]
 
 
-def fly_together(
-    model: Model, values: Values, aircraft: Aircraft, pilots: Sequence[Pilot], starts: Sequence[FlightState], dt: float
-) -> list[dict[str, np.ndarray]]:
-    """As `fly`, for several flights of one length."""
-    numbers = {name: jnp.asarray(x, float) for name, x in values.items()}
-    rows = [jax.tree.map(lambda *x: np.stack([np.asarray(y, float) for y in x]), *row) for row in (pilots, starts)]
-    flights = jax.tree.map(np.asarray, _fly_several(model, numbers, aircraft, *rows, jnp.asarray(dt)))
-    return [{name: x[k] for name, x in flights.items()} for k in range(len(pilots))]
+def _signals(pilot: Pilot) -> dict[str, Float[np.ndarray, " n"]]:
+    """What a pilot commands at every sample, by the names of the simulation's inputs."""
+    n = np.shape(pilot.alpha)[0]
+    whole = lambda x: np.broadcast_to(np.asarray(x, float), n)  # noqa: E731
+    u = {"time": np.zeros(n), "led_alpha": whole(pilot.alpha)}
+    names = ("thrust", "uneven", "excitation", "phi", "beta", "stabilizer", "rudder", "aileron", "flap")
+    u |= {name: whole(getattr(pilot, name)) for name in names}
+    u |= {f"{name}_{side}": whole(getattr(pilot, name)) for name in ("spoiler", "dlc") for side in ("left", "right")}
+    disturbance = np.broadcast_to(np.asarray(pilot.disturbance, float), (n, 3)).T
+    return u | dict(zip((f"d{name}" for name in DISTURBED_COEFFICIENTS), disturbance, strict=True))
 
 
-def _fly(model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: Any):
-    shares, command = lead(model, values, aircraft, pilot.alpha, start.airspeed, start.altitude)
-    gains = (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain)
-    plant = Plant(model, values, aircraft, gains, pilot.buffet, shares)  # type: ignore[arg-type]
-    inputs = _inputs(pilot, command, dt)
-    _, found = jax.lax.scan(lambda x, row: step(plant, x, *row, dt), jnp.stack(start), (inputs, later(inputs)))
-    turn = found["psi_dot"]
-    return found | {"psi": jnp.cumsum(jnp.pad(0.5 * dt * (turn[1:] + turn[:-1]), (1, 0)))}
+def _fly(model: Model, values: dict[str, Any], aircraft: Aircraft, u: dict[str, Any], gains: Any, start: Any, dt: Any):
+    state = FlightState(*start)
+    shares, command = steady.lead(model, values, aircraft, u["led_alpha"], state.airspeed, state.altitude)
+    plant = Plant(model, values, aircraft, (gains[0], gains[1], gains[2]), gains[3], shares)
+    for name, rate in TURNING.items():
+        u = u | {rate: differentiate(u[name], dt)}
+    u |= {"time": jnp.arange(len(command)) * dt, "command": command + u["excitation"]}
+    flown = integrate(plant, start, u, dt)
+    turn = flown.outputs["psi_dot"]
+    psi = jnp.cumsum(jnp.pad(0.5 * dt * (turn[1:] + turn[:-1]), (1, 0)))
+    return {name: jnp.where(flown.inside, x, jnp.nan) for name, x in (flown.outputs | {"psi": psi}).items()}
 
 
-_fly_several = eqx.filter_jit(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0, 0, None)))
-
-
-def _inputs(pilot: Pilot, command: Float[Array, " n"], dt: Any) -> dict[str, Float[Array, " n"]]:
-    n = pilot.alpha.shape[0]
-    disturbance = jnp.broadcast_to(pilot.disturbance, (n, 3)).T
-    pilot = Pilot(*(jnp.broadcast_to(x, n) if jnp.ndim(x) == 0 else x for x in pilot))
-    phi_rate, beta_dot = differentiate(pilot.phi, dt), differentiate(pilot.beta, dt)
-    angles = {"phi": pilot.phi, "phi_rate": phi_rate, "phi_acceleration": differentiate(phi_rate, dt)}
-    angles |= {"beta": pilot.beta, "beta_dot": beta_dot, "beta_acceleration": differentiate(beta_dot, dt)}
-    surfaces = {name: getattr(pilot, name) for name in ("stabilizer", "rudder", "flap")}
-    surfaces |= {f"{name}_{side}": getattr(pilot, name) for name in ("spoiler", "dlc") for side in ("left", "right")}
-    disturbed = dict(zip(("dCL", "dCD", "dCm"), disturbance, strict=True))
-    led = {"alpha_led": pilot.alpha, "command": command + pilot.excitation, "thrust": pilot.thrust}
-    return {"time": jnp.arange(n) * dt} | angles | surfaces | disturbed | led
+_fly_several = eqx.filter_jit(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0, 0, 0, None)))
 
 
 # --- Flights through random gusts: a system whose states include gusts, driven by their white noise.
@@ -246,7 +229,6 @@ def through_gusts(
 
 BANK, ROLL, SLIP, YAW = 0.6, 0.5, 0.5, 0.7  # aileron per bank and roll rate, rudder per sideslip and yaw rate; s
 LATERAL_CONTROLS = ("aileron", "rudder")
-DISTURBED_COEFFICIENTS = ("CL", "CD", "Cm")
 MAX_SUBSTEPS = 16  # integration steps a sample, for a separation point with a short lag
 MAX_DEFLECTION = 0.5  # rad of any control
 REFERENCE_SIDESLIP = 0.05  # rad, of the steady sideslip that gives the controls per sideslip
@@ -288,70 +270,55 @@ class PilotedBody(RigidBody):
         yaw = SLIP * errors["beta"] - YAW * (state["r"] - u["led_r"])
         commands = {"Cm": pitch, "Cl": roll, "Cn": yaw}
         deflections = {control: sign * commands[moment] for moment, control, sign in self.pilots}
-        names = (*CONTROLS, *LATERAL_CONTROLS)
+        names = (*steady.CONTROLS, *LATERAL_CONTROLS)
         return {
             n: u[n] + jnp.clip(deflections[n], -MAX_DEFLECTION, MAX_DEFLECTION) if n in deflections else u[n]
             for n in names
         }
 
 
-def fly_rigid(
-    model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, trim: RigidTrim, dt: float
+def _fly_rigid(
+    model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot, trim: steady.RigidTrim, dt: float
 ) -> dict[str, Float[np.ndarray, " n"]]:
-    """All signals of a flight from `trim`, as `fly` has them. Commanded bank gives a coordinated turn."""
-    values = {name: jnp.asarray(x, float) for name, x in values.items()}
     lag = float(model.lag(values))
     if lag == 0.0:  # a separation point without lag is no state
         model = Model.of([e for e in model.effects if e.stage is not Stage.LAG], axes=model.axes)
-    chosen = control_signs(model, values, aircraft, trim.state["airspeed"])
+    speed, chosen = trim.state["airspeed"], steady.control_signs(model, values, aircraft, trim.state["airspeed"])
     pilots = tuple((moment, control, sign) for moment, (control, sign) in chosen.items())
     gains = tuple(jnp.asarray(x, float) for x in (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain))
     body = PilotedBody(model, values, aircraft, gains=gains, buffet=jnp.asarray(pilot.buffet, float), pilots=pilots)
-    inputs = _piloted_inputs(pilot, trim, chosen)
-    condition = Condition(trim.state["airspeed"], trim.state["altitude"], trim.state["beta"] + REFERENCE_SIDESLIP)
-    sideslipping = rigid_trim(model, values, aircraft, condition).controls if np.any(inputs["led_beta"]) else {}
-    for name in LATERAL_CONTROLS:
-        slope = (sideslipping.get(name, 0.0) - trim.controls.get(name, 0.0)) / REFERENCE_SIDESLIP
-        inputs[name] = inputs[name] + (slope * inputs["led_beta"] if sideslipping else 0.0)
-    first = {name: x[0] for name, x in inputs.items()}
+    u = _signals(pilot)
+    u |= {"led_beta": u.pop("beta"), "led_phi": u.pop("phi"), "elevator": np.zeros_like(u["thrust"])}
+    u["led_r"] = GRAVITY / speed * np.sin(u["led_phi"])  # of a coordinated turn
+    u |= {f"thrust_{n}": 0.5 * u["thrust"] * (1.0 + f * u["uneven"]) for n, f in (("left", 1.0), ("right", -1.0))}
+    pitch, sign = chosen.get("Cm", ("elevator", -1.0))
+    u[pitch] = u[pitch] - sign * u["excitation"]  # a positive command pitches down
+    sideslipping: Mapping[str, float] = trim.controls
+    if np.any(u["led_beta"]):
+        condition = steady.Condition(speed, trim.state["altitude"], trim.state["beta"] + REFERENCE_SIDESLIP)
+        sideslipping = steady.rigid_trim(model, values, aircraft, condition).controls
+    for name in (*steady.CONTROLS, *LATERAL_CONTROLS):
+        held = trim.controls.get(name, 0.0)
+        per_sideslip = (sideslipping.get(name, 0.0) - held) / REFERENCE_SIDESLIP if name in LATERAL_CONTROLS else 0.0
+        u[name] = u[name] + held + per_sideslip * u["led_beta"]
+    inputs = {name: jnp.asarray(x) for name, x in u.items()}
     start = jnp.array([trim.state.get(name, 0.0) for name in body.start])
-    fast = lag * float(aircraft.chord) / trim.state["airspeed"]
+    start = body.state_at_start(body.complete_start(start, {name: x[0] for name, x in inputs.items()}))
+    fast = lag * float(aircraft.chord) / speed
     parts = int(np.clip(np.ceil(2.0 * dt / fast), 1, MAX_SUBSTEPS)) if lag > 0.0 else 1
-    trajectory = _integrate(
-        body, body.state_at_start(body.complete_start(start, first)), inputs, jnp.asarray(dt), parts
-    )
+    trajectory = _integrate(body, start, inputs, jnp.asarray(dt), parts)
     flight = {name: np.asarray(x) for name, x in (inputs | trajectory.outputs).items()}
-    flight |= {name: np.unwrap(flight[name]) for name in ("phi", "psi")}
     density, sound = (np.asarray(x) for x in air(trajectory.outputs["altitude"]))
     flight |= {"density": density, "mach": flight["airspeed"] / sound}
+    flight |= {name: np.unwrap(flight[name]) for name in ("phi", "psi")}
+    flight |= {"aileron_left": -flight["aileron"], "aileron_right": flight["aileron"]}
     return {name: np.where(trajectory.inside, x, np.nan) for name, x in flight.items()}
 
 
 _integrate = eqx.filter_jit(integrate)
 
 
-def _piloted_inputs(
-    pilot: Pilot, trim: RigidTrim, chosen: Mapping[str, tuple[str, float]]
-) -> dict[str, Float[Array, " n"]]:
-    n = np.asarray(pilot.alpha).shape[0]
-    whole = lambda x: jnp.broadcast_to(jnp.asarray(x, float), n)  # noqa: E731
-    disturbance = jnp.broadcast_to(jnp.asarray(pilot.disturbance, float), (n, 3)).T
-    u = {name: whole(trim.controls.get(name, 0.0)) for name in (*CONTROLS, *LATERAL_CONTROLS)}
-    pitch, sign = chosen.get("Cm", ("elevator", -1.0))
-    u[pitch] = u[pitch] - sign * whole(pilot.excitation)  # a positive command pitches down
-    u |= {name: u[name] + whole(getattr(pilot, name)) for name in ("stabilizer", *LATERAL_CONTROLS)}
-    surfaces = {name: whole(getattr(pilot, name.split("_")[0], 0.0)) for name in SURFACES if name != "time"}
-    speed, phi = trim.state["airspeed"], whole(pilot.phi)
-    led = {"led_alpha": whole(pilot.alpha), "led_beta": whole(pilot.beta), "led_phi": phi}
-    led["led_r"] = GRAVITY / speed * jnp.sin(phi)
-    thrust = whole(pilot.thrust)
-    more = thrust * whole(pilot.uneven)
-    engines = {"thrust_left": 0.5 * (thrust + more), "thrust_right": 0.5 * (thrust - more), "thrust": thrust}
-    noise = dict(zip((f"d{name}" for name in DISTURBED_COEFFICIENTS), disturbance, strict=True))
-    return u | surfaces | led | engines | noise
-
-
-# --- Flight-test inputs: their shapes, and the standard inputs, simulated from trimmed level flight.
+# --- Flight-test inputs: their shapes, and the standard inputs, simulated from steady.trimmed level flight.
 # Their excitation: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 9; Jategaonkar, *Flight Vehicle
 # System Identification*, 2nd ed. 2015, ch. 2. Amplitudes are our choice: those of a transport in a flight test.
 
@@ -362,9 +329,11 @@ STALL_BEYOND, STALL_RISE = np.deg2rad(2.0), np.deg2rad(8.0)  # beyond alpha*, or
 SETTLE, WHOLE = 3.0, 10.0  # s recorded at least after the last input, and s of which a record is a multiple
 MULTISINE, MULTISINE_BAND = (5.0, 25.0, 2), (0.1, 1.4)  # begin and period, s, number of periods; Hz
 ANYWHERE = Envelope()
-EXCITED_CHANNELS = {"stabilizer_steps": "stabilizer", "sideslip": "beta", "bank_to_bank": "phi"}
-"""Channels that a manoeuvre excites in addition to elevator and thrust."""
-
+LATERAL = ("aileron_doublet", "rudder_doublet", "stall_with_bank", "engine_steps")  # those of the lateral axis
+EXCITED_CHANNELS = {  # in addition to elevator and thrust; the aileron in six degrees of freedom
+    "stabilizer_steps": "stabilizer", "sideslip": "beta", "bank_to_bank": "phi", "aileron_doublet": "aileron",
+    "rudder_doublet": "rudder", "engine_steps": "thrust_left", "multisine": "aileron",
+}  # fmt: skip
 
 Series = Float[np.ndarray, " n"]
 Pulse = tuple[float, float, float]  # begin and end, s, and level
@@ -403,40 +372,58 @@ def rounded(signal: Series, seconds: float, dt: float) -> Series:
 
 
 def commands(
-    time: Series, trim: Trim, stall: float, bank_per_sideslip: float, amplitude: float = 1.0
+    time: Series,
+    trim: steady.Trim,
+    stall: float,
+    bank_per_sideslip: float,
+    amplitude: float = 1.0,
+    lateral: bool = False,
 ) -> dict[str, Pilot]:
-    """The standard inputs by name: `stall` (rad) is the rise of alpha of the slow sweep above trim."""
+    """The standard inputs by name: `stall` (rad) is the rise of alpha of the slow sweep above trim; with `lateral`
+    those of aileron, rudder and unequal engines, a stall in banked flight, and multisines on three controls."""
     rest, dt, deg = np.zeros_like(time), float(time[1] - time[0]), np.pi / 180.0
 
-    def held(parts: list[Pulse], smooth: float) -> Series:
-        return rounded(amplitude * pulses(time, parts), smooth, dt)
+    def held(smooth: float, *points: tuple[float, float], unit: float = deg) -> Series:
+        return rounded(amplitude * unit * pulses(time, steps(*points)), smooth, dt)
 
-    def pilot(
-        gains: tuple[float, ...] = TIGHT, alpha: Series = rest, thrust: Series = rest, **signals: Series
-    ) -> Pilot:
-        power = trim.thrust * np.maximum(1.0 + thrust, 0.1)
+    def doublets(size: float, *begins: tuple[float, float]) -> Series:
+        """Of half a period each; begin and half period in s."""
+        return held(0.4, *(p for t, half in begins for p in ((t, size), (t + half, -size), (t + 2.0 * half, 0.0))))
+
+    def pilot(gains: tuple[float, ...], alpha: Series = rest, thrust: Series = rest, **signals: Series) -> Pilot:
         feedback = dict(zip(("alpha_gain", "rate_gain", "trim_gain"), gains, strict=True))
-        zeros = dict.fromkeys(("excitation", "phi", "beta", "stabilizer"), rest)
-        return Pilot(trim.alpha + alpha, power, **zeros | feedback | signals)
+        return Pilot(trim.alpha + alpha, trim.thrust * np.maximum(1.0 + thrust, 0.1), **feedback | signals)
 
-    doublets = [pulse for t in (5.0, 32.0) for pulse in steps((t, 2.5 * deg), (t + 1.5, -2.5 * deg), (t + 3.0, 0.0))]
     multistep = [pulse for t in (5.0, 32.0) for pulse in three_two_one_one(t, 0.8, 2.0 * deg)]
-    sideslip = held(steps((5.0, 5.0 * deg), (20.0, -5.0 * deg), (35.0, 0.0)), 4.0)
-    bank = held(steps((5.0, 30 * deg), (20.0, -30 * deg), (35.0, 30 * deg), (50.0, 0.0)), 5.0)
-    power = held(steps((5.0, 0.6), (18.0, -0.6), (35.0, 0.6), (48.0, 0.0)), 1.5)
+    sideslip = held(4.0, (5.0, 5.0), (20.0, -5.0), (35.0, 0.0))
+    bank = held(5.0, (5.0, 30.0), (20.0, -30.0), (35.0, 30.0), (50.0, 0.0))
+    power = held(1.5, (5.0, 0.6), (18.0, -0.6), (35.0, 0.6), (48.0, 0.0), unit=1.0)
     sweep = [(0.0, 0.0), (5.0, 0.0), (32.0, stall), (35.0, stall), (39.0, 0.3 * stall), (45.0, stall), (52.0, 0.0)]
     idle = amplitude * ramps(time, [(0.0, 0.0), (5.0, 0.0), (7.0, -0.6)])
-    return {
-        "elevator_doublet": pilot(LOOSE, excitation=held(doublets, 0.4)),
-        "elevator_3211": pilot(LOOSE, excitation=held(multistep, 0.4)),
-        "multisine": pilot(LOOSE, excitation=amplitude * 2.0 * deg * multisine_inputs(time, 1)[0]),
-        "slow_stall": pilot(alpha=amplitude * ramps(time, sweep), thrust=idle),
-        "thrust_steps": pilot(thrust=power),
-        "sideslip": pilot(beta=sideslip, phi=bank_per_sideslip * sideslip),
-        "bank_to_bank": pilot(phi=bank),
-        "stabilizer_steps": pilot(stabilizer=held(steps((5.0, 1.0 * deg), (22.0, -1.0 * deg), (40.0, 0.0)), 2.0)),
-        "speed_change": pilot(LOOSE, excitation=held(steps((5.0, 1.0 * deg), (12.0, 0.0)), 1.0)),
+    elevator, *others = amplitude * deg * multisine_inputs(time, 3 if lateral else 1)
+    pilots = {
+        "elevator_doublet": pilot(LOOSE, excitation=doublets(2.5, (5.0, 1.5), (32.0, 1.5))),
+        "elevator_3211": pilot(LOOSE, excitation=rounded(amplitude * pulses(time, multistep), 0.4, dt)),
+        "multisine": pilot(LOOSE, excitation=2.0 * elevator),
+        "slow_stall": pilot(TIGHT, alpha=amplitude * ramps(time, sweep), thrust=idle),
+        "thrust_steps": pilot(TIGHT, thrust=power),
+        "sideslip": pilot(TIGHT, beta=sideslip, phi=bank_per_sideslip * sideslip),
+        "bank_to_bank": pilot(TIGHT, phi=bank),
+        "stabilizer_steps": pilot(TIGHT, stabilizer=held(2.0, (5.0, 1.0), (22.0, -1.0), (40.0, 0.0))),
+        "speed_change": pilot(LOOSE, excitation=held(1.0, (5.0, 1.0), (12.0, 0.0))),
     }
+    if lateral:
+        begins = (5.0, 1.0), (20.0, 2.0), (40.0, 1.0)
+        uneven = held(1.5, (5.0, 0.3), (20.0, -0.3), (35.0, 0.3), (50.0, 0.0), unit=1.0)  # share of the thrust
+        banked = held(4.0, (10.0, 15.0), (25.0, -15.0), (41.0, 15.0), (52.0, 0.0))
+        pilots |= {
+            "aileron_doublet": pilot(LOOSE, aileron=doublets(5.0, *begins)),
+            "rudder_doublet": pilot(LOOSE, rudder=doublets(3.0, *begins)),
+            "multisine": pilot(LOOSE, excitation=2.0 * elevator, aileron=5.0 * others[0], rudder=3.0 * others[1]),
+            "stall_with_bank": pilots["slow_stall"]._replace(phi=banked),
+            "engine_steps": pilot(LOOSE, uneven=uneven),
+        }
+    return pilots
 
 
 def multisine_inputs(time: Series, controls: int) -> Float[np.ndarray, "c n"]:
@@ -451,33 +438,31 @@ def standard_pilots(
     values: Mapping[str, Any],
     aircraft: Aircraft,
     time: Series,
-    airspeed: float,
-    altitude: float,
+    level: steady.Condition,
     amplitude: float = 1.0,
-) -> tuple[dict[str, Pilot], FlightState | RigidTrim]:
+) -> tuple[dict[str, Pilot], FlightState | steady.RigidTrim]:
     """The pilot of each manoeuvre, and the level flight in which all start; `InputError` where there is no trim."""
-    start: FlightState | RigidTrim
+    start: FlightState | steady.RigidTrim
     if rigid := Axis.LATERAL in model.axes:
-        start = rigid_trim(model, values, aircraft, Condition(airspeed, altitude))
-        sideslipping = rigid_trim(model, values, aircraft, Condition(airspeed, altitude, sideslip=REFERENCE_SIDESLIP))
+        start = steady.rigid_trim(model, values, aircraft, level)
+        sideslipping = steady.rigid_trim(model, values, aircraft, level._replace(sideslip=REFERENCE_SIDESLIP))
         bank_per_sideslip = (sideslipping.state["phi"] - start.state["phi"]) / REFERENCE_SIDESLIP
-        trim = Trim(start.state["alpha"], start.thrust, 0.0)
+        trim = steady.Trim(start.state["alpha"], start.thrust, 0.0)
     else:
-        trim = trimmed(model, values, aircraft, airspeed, altitude)
-        pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
+        trim = steady.trimmed(model, values, aircraft, level.airspeed, level.altitude)
+        pressure = 0.5 * float(air(jnp.asarray(level.altitude))[0]) * level.airspeed**2
         bank_per_sideslip = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
-        start = FlightState(airspeed, trim.alpha, trim.alpha, 0.0, altitude, trim=trim.command)
+        start = FlightState(level.airspeed, trim.alpha, trim.alpha, 0.0, level.altitude, trim=trim.command)
     stall = model.break_angle(values) + STALL_BEYOND
     rise = stall - trim.alpha if stall < DEFAULT_RANGES["alpha"][1] else STALL_RISE  # of the slow sweep, above trim
-    pilots = commands(time, trim, rise, bank_per_sideslip, amplitude)
-    return pilots | (lateral_commands(time, trim, pilots["slow_stall"], amplitude) if rigid else {}), start
+    return commands(time, trim, rise, bank_per_sideslip, amplitude, rigid), start
 
 
 def fly_standard(
     model: Model,
     values: Mapping[str, Any],
     aircraft: Aircraft,
-    level: Condition,
+    level: steady.Condition,
     *,
     dt: float,
     amplitude: float = 1.0,
@@ -487,23 +472,17 @@ def fly_standard(
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
-    rigid = Axis.LATERAL in model.axes
-    for effect in model.acting if rigid else ():
-        refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
-    pilots, start = standard_pilots(model, values, aircraft, time, level.airspeed, level.altitude, amplitude)
-    if isinstance(start, RigidTrim):
-        flights = [fly_rigid(model, values, aircraft, pilot, start, dt) for pilot in pilots.values()]
-    else:
-        flights = fly_together(model, values, aircraft, list(pilots.values()), [start] * len(pilots), dt)
+    for effect in model.acting if Axis.LATERAL in model.axes else ():
+        steady.refuse_unsimulated(effect, steady.SIGNALS | {"aileron", "thrust_left", "thrust_right"})
+    pilots, start = standard_pilots(model, values, aircraft, time, level, amplitude)
+    flights = fly(model, values, aircraft, list(pilots.values()), [start] * len(pilots), dt)
     flown, refused = {}, {}
     for name, flight in zip(pilots, flights, strict=True):
         channels = {key: x[before:] for key, x in flight.items()}
         if left := envelope.left_by(excursion(channels)):
             refused[name] = f"it leaves its envelope: {left}"
-        elif rigid:
-            flown[name] = channels | {"aileron_left": -channels["aileron"], "aileron_right": channels["aileron"]}
         else:
-            flown[name] = channels | {f"thrust_{side}": channels["thrust"] / 2.0 for side in ("left", "right")}
+            flown[name] = channels
     return flown, {name: until(pilots[name], time) for name in flown}, refused
 
 
@@ -529,13 +508,8 @@ def multisines(
 ) -> Float[np.ndarray, "c n"]:
     """Multisines (c, n) with a peak of 1, zero where `time` (s) is, that share no frequency; periodic in `period` (s).
     The multiples of 1/`period` in `band` (Hz) are dealt to the `controls` in turn, so that each covers the band. Over a
-    whole period the inputs are uncorrelated, and so are their derivatives and integrals."""
+    whole period the inputs are uncorrelated, and so are their derivatives and integrals. Each needs two multiples."""
     k = np.arange(np.ceil(band[0] * period - 1e-9), np.floor(band[1] * period + 1e-9) + 1)
-    if len(k) < 2 * controls or k[0] < 1:
-        raise InputError(
-            f"the band {band[0]:g} to {band[1]:g} Hz has {len(k)} multiples of 1/{period:g} s, and {controls} "
-            f"multisines need {2 * controls} above zero; widen the band or lengthen the period"
-        )
     signals = []
     for harmonics in (k[first::controls] for first in range(controls)):
         phase, at = _phases(harmonics), 2.0 * np.pi * time[:, None] / period
@@ -561,42 +535,3 @@ def _phases(k: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
             best, least = phase, peak
         phase = np.angle(basis.conj() @ np.clip(signal, -CLIP * peak, CLIP * peak))
     return best
-
-
-# --- The standard inputs of the lateral axis.
-
-LATERAL = ("aileron_doublet", "rudder_doublet", "stall_with_bank", "engine_steps")
-AILERON, RUDDER = np.deg2rad(5.0), np.deg2rad(3.0)  # amplitudes of a transport in a flight test; our choice
-STALL_BANK = np.deg2rad(15.0)
-UNEVEN = 0.3  # of the left engine's thrust less the right one's, over their sum
-LATERAL_EXCITED_CHANNELS = {  # channels that each manoeuvre excites, in addition to `manoeuvres.EXCITED_CHANNELS`
-    "aileron_doublet": "aileron", "rudder_doublet": "rudder", "engine_steps": "thrust_left", "multisine": "aileron",
-}  # fmt: skip
-
-
-def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float = 1.0) -> dict[str, Pilot]:
-    """Doublets of aileron and rudder, multisines, a stall in banked flight, unequal engines."""
-    dt = float(time[1] - time[0])
-
-    def doublets(size: float) -> Series:
-        parts = []
-        for begin, unit in ((5.0, 1.0), (20.0, 2.0), (40.0, 1.0)):
-            parts += steps((begin, size), (begin + unit, -size), (begin + 2.0 * unit, 0.0))
-        return rounded(amplitude * pulses(time, parts), 0.4, dt)
-
-    def held(smooth: float, *points: tuple[float, float]) -> Series:
-        return rounded(amplitude * pulses(time, steps(*points)), smooth, dt)
-
-    zeros, (elevator, aileron, rudder) = np.zeros_like(time), amplitude * multisine_inputs(time, 3)
-    level = Pilot(trim.alpha + zeros, trim.thrust + zeros, alpha_gain=0.05, rate_gain=0.0)
-    return {
-        "aileron_doublet": level._replace(aileron=doublets(AILERON)),
-        "rudder_doublet": level._replace(rudder=doublets(RUDDER)),
-        "multisine": level._replace(
-            excitation=np.deg2rad(2.0) * elevator, aileron=AILERON * aileron, rudder=RUDDER * rudder
-        ),
-        "stall_with_bank": stalling._replace(
-            phi=held(4.0, (10.0, STALL_BANK), (25.0, -STALL_BANK), (41.0, STALL_BANK), (52.0, 0.0))
-        ),
-        "engine_steps": level._replace(uneven=held(1.5, (5.0, UNEVEN), (20.0, -UNEVEN), (35.0, UNEVEN), (50.0, 0.0))),
-    }

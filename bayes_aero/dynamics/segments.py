@@ -58,13 +58,11 @@ class SegmentTrajectories(eqx.Module):
         return [self.noise_growth[k][real] for k, real in enumerate(self.inside)]
 
     def part(self, rows: Sequence[int] | Int[np.ndarray, " r"]) -> SegmentTrajectories:
-        index, inside, dt, noise_growth = (
-            x[np.asarray(rows)] for x in (self.index, self.inside, self.dt, self.noise_growth)
-        )
+        some = {name: getattr(self, name)[np.asarray(rows)] for name in ("index", "inside", "dt", "noise_growth")}
         fixed = self.fixed
         if fixed is not None:
             fixed = tuple((n, tuple(x[int(r)] for r in rows) if isinstance(x, tuple) else x) for n, x in fixed)
-        return replace(self, index=index, inside=inside, dt=dt, noise_growth=noise_growth, fixed=fixed)
+        return replace(self, fixed=fixed, **some)
 
 
 class Simulated(NamedTuple):
@@ -101,13 +99,13 @@ def segments(
             states = ", ".join(n for n in dynamics.start if n not in POINTS)
             raise InputError(f"the initial state has {name}, which is no state of the model; there are {states}")
     rows, dts = [], []
-    for number in range(len(flights.lengths)):
+    for number, n in enumerate(flights.lengths):
         samples = np.flatnonzero(flights.manoeuvre == number)
         dt = float(flights.channels["dt"][samples[0]])
-        cuts = cuts_of(len(samples), dt, window)
-        rows += [samples[a:b] for a, b in zip(cuts, [*cuts[1:], len(samples)], strict=True)]
+        cuts = cuts_of(n, dt, window)
+        rows += np.split(samples, cuts[1:])
         dts += [dt] * len(cuts)
-    longest = max(len(row) for row in rows)
+    longest = max(map(len, rows))
     index = np.stack([np.append(row, np.full(longest - len(row), row[-1])) for row in rows])
     inside = np.stack([np.arange(longest) < len(row) for row in rows])
     begin = max(2, min(round(START_SECONDS / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))
@@ -188,10 +186,8 @@ def prepare(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Prepared:
         channels = dynamics.corrected(values, flights.channels, flights.aircraft)
     true = jnp.stack([channels[name][flown.index] for name in flown.outputs], axis=2)
     measured = jnp.stack([flights.channels[name][flown.index] for name in flown.outputs], axis=2)
-    scales = dynamics.scales(values, flights)
-    scale = jnp.stack(
-        [scales[n][flown.index] if n in scales else jnp.ones(flown.index.shape) for n in flown.outputs], axis=2
-    )
+    scales, unscaled = dynamics.scales(values, flights), jnp.ones(flown.index.shape)
+    scale = jnp.stack([scales[n][flown.index] if n in scales else unscaled for n in flown.outputs], axis=2)
     return Prepared(system, sensed, begin, drives, true, measured, scale)
 
 

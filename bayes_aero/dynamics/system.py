@@ -109,12 +109,6 @@ def advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int)
     return _stages(system, x, now, then, dt, substeps, lambda *_: None)[0]
 
 
-def step(system: System, x: Any, now: Row, then: Row, dt: Any) -> tuple[Array, dict[str, Any]]:
-    """The state a sample later, and the outputs now."""
-    after, found = _stages(system, x, now, then, dt, 1, lambda _, outputs: outputs)
-    return after, {name: y[0] for name, y in found.items()}
-
-
 def _stages(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int, read: Any) -> tuple[Array, Any]:
     """The state one sample later, and `read` of the state and the outputs at every stage. The stages are a loop, so
     that the motion is compiled only once."""
@@ -161,7 +155,7 @@ def _flight_jvp(primals, tangents, *, dt, substeps, outputs, held):
     flown = _flight(system, start, inputs, dt=dt, substeps=substeps, outputs=outputs, held=held)
     t_inputs = {name: t for name, t in t_inputs.items() if t is not None}
     t_start = jnp.zeros_like(start) if t_start is None else t_start
-    path, *tangents = jax.tree.map(lambda y: y[None], (_FlownPath(flown[0], flown[2], inputs, dt), t_start, t_inputs))
+    path, *tangents = jax.tree.map(lambda y: y[None], ((flown[0], flown[2], inputs, dt), t_start, t_inputs))
     along = tangent_flight(substeps, outputs, held)(system, path, t_system, *tangents)
     dx, dy = jax.tree.map(lambda y: y[0], along)
     return flown, (dx, dy, None)
@@ -177,11 +171,13 @@ NODES, AHEAD, WEIGHTS = (0.0, 0.5, 0.5, 1.0), (0.5, 0.5, 1.0, 0.0), (1.0, 2.0, 2
 Channels = Mapping[str, Any]
 
 
-def later(inputs: Channels, held: bool = False) -> dict[str, Array]:
-    """Inputs one sample later, the last one repeated; the same inputs where they are `held`. Samples: last axis."""
+def later(inputs: Channels, held: bool = False, axis: int = -1) -> dict[str, Array]:
+    """Inputs one sample later, the last one repeated; the same inputs where they are `held`. Samples: along `axis`."""
     if held:
         return dict(inputs)
-    return {name: jnp.concatenate([x[..., 1:], x[..., -1:]], axis=-1) for name, x in inputs.items()}
+    after = lambda x: jax.lax.slice_in_dim(x, 1, None, axis=axis)  # noqa: E731
+    last = lambda x: jax.lax.slice_in_dim(x, x.shape[axis] - 1, None, axis=axis)  # noqa: E731
+    return {name: jnp.concatenate([after(x), last(x)], axis=axis) for name, x in inputs.items()}
 
 
 def between(now: Channels, then: Channels, share: Any) -> dict[str, Any]:
@@ -202,13 +198,8 @@ def stage_table(substeps: int) -> tuple[Array, Array, Array, Array]:
     return shares, ahead, weights, last
 
 
-class _FlownPath(NamedTuple):
-    """The path of w segments, along which derivatives are taken."""
-
-    x: Float[Array, "w n s"]
-    inside: Bool[Array, "w n"]
-    inputs: Channels
-    dt: Float[Array, " w"]
+_FlownPath = tuple[Float[Array, "w n s"], Bool[Array, "w n"], Channels, Float[Array, " w"]]
+"""States along which derivatives are taken, whether inside the envelope, inputs and sample times of w segments."""
 
 
 @lru_cache
@@ -225,25 +216,21 @@ def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
     def _(size, batched, *arguments):
         system, path, t_system, *begin = arguments
         marks = jax.tree.map(bool, batched)
-        alike = not any(jax.tree.leaves(marks[0]))
-        if alike and not any(jax.tree.leaves(marks[1])):  # directions
+        by_system, by_path, by_direction = (any(jax.tree.leaves(mark)) for mark in marks[:3])
+        if not (by_system or by_path):  # directions
             wide = lambda t, m: jnp.moveaxis(t, 0, -1) if m else jnp.broadcast_to(t[..., None], (*t.shape, size))  # noqa: E731
             towards = tuple(jax.tree.map(wide, t, m) for t, m in zip(arguments[2:], marks[2:], strict=True))
-            found = _along(system, path, towards, substeps, outputs, held)
-            found = jax.tree.map(lambda t: jnp.moveaxis(t, -1, 0), found)
-        elif alike and not any(jax.tree.leaves(marks[2])):  # segments
-
-            def end_to_end(t, m):
-                t = t if m else jnp.broadcast_to(t, (size, *t.shape))
-                return t.reshape(-1, *t.shape[2:])
-
+            along = _along(system, path, towards, substeps, outputs, held)
+            along = jax.tree.map(lambda t: jnp.moveaxis(t, -1, 0), along)
+        elif not (by_system or by_direction):  # segments
+            every = lambda t, m: t if m else jnp.broadcast_to(t, (size, *t.shape))  # noqa: E731
+            end_to_end = lambda t, m: every(t, m).reshape(-1, *every(t, m).shape[2:])  # noqa: E731
             path, *begin = jax.tree.map(end_to_end, (path, *begin), (marks[1], *marks[3:]))
-            found = tangent(system, path, t_system, *begin)
-            found = jax.tree.map(lambda t: t.reshape(size, -1, *t.shape[1:]), found)
+            along = tangent(system, path, t_system, *begin)
+            along = jax.tree.map(lambda t: t.reshape(size, -1, *t.shape[1:]), along)
         else:
-            axes = jax.tree.map(lambda m: 0 if m else None, tuple(marks))
-            found = jax.vmap(tangent.fun, axes)(*arguments)
-        return found, jax.tree.map(lambda _: True, found)
+            along = jax.vmap(tangent.fun, jax.tree.map(lambda m: 0 if m else None, tuple(marks)))(*arguments)
+        return along, jax.tree.map(lambda _: True, along)
 
     return tangent
 
@@ -258,15 +245,15 @@ def _along(
     shares, then = stage_table(substeps)[0], later(inputs, held)
     at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731
     u = at(inputs, then)  # m w n
-    t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
-    t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first, held)).items()}  # m w n d
+    t_u = at(t_inputs, later(t_inputs, held, axis=1))  # m w n d
     points = stage_points(system, x, inputs, then, dt, substeps)[0]
     read = tuple(name for name in outputs if name not in system.state_outputs)
     moved = jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None)
     dynamic, static = eqx.partition(system, moved)
 
-    def own(made):
+    numbers = [jnp.zeros((0, directions)), *(t.reshape(-1, directions) for t in jax.tree.leaves(t_system))]
 
+    def slopes(made, stages: slice):
         def at(x, u):
             def all_of(x, dynamic, inputs):
                 return made(*motion(eqx.combine(dynamic, static), x, u | inputs))
@@ -276,16 +263,9 @@ def _along(
             flat = [jnp.zeros((len(size), 0)), *(y.reshape(len(size), -1) for y in jax.tree.leaves(by_system))]
             return by_x, jnp.concatenate(flat, axis=1), by_u
 
-        return jax.vmap(at)
-
-    numbers = jnp.concatenate(
-        [jnp.zeros((0, directions)), *(t.reshape(-1, directions) for t in jax.tree.leaves(t_system))]
-    )
-
-    def slopes(made, stages: slice):
         wide = lambda y: y[stages].reshape(-1, *y.shape[3:])  # noqa: E731
-        by_x, by_system, by_u = own(made)(wide(points), jax.tree.map(wide, u))
-        direct = by_system @ numbers
+        by_x, by_system, by_u = jax.vmap(at)(wide(points), jax.tree.map(wide, u))
+        direct = by_system @ jnp.concatenate(numbers)
         for name, t in t_u.items():
             direct = direct + by_u[name][:, :, None] * wide(t)[:, None, :]
         return tuple(y.reshape(-1, w, n, *y.shape[1:]) for y in (by_x, direct))
@@ -333,7 +313,7 @@ def _recurrence(
     return jax.lax.map(along, (A, b, begin, h))
 
 
-# --- Linear systems, and delayed outputs of recorders.
+# --- Linear systems.
 
 
 class LinearSystem(System):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -21,7 +21,7 @@ from bayes_aero.model import observations as observations
 from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import GRAVITY, Aircraft, Axis, air
 from bayes_aero.physics.coefficients import moments, specific_force
-from bayes_aero.physics.kinematics import RATES, down_of
+from bayes_aero.physics.kinematics import RATES
 
 CONTROLS = ("elevator", "stabilizer")  # of the pitching moment; the pilot uses the first one with an effect
 SIGNALS = frozenset((  # signals that effects may read in the simulation; there is no canard
@@ -136,34 +136,22 @@ def _balance(model: Model, values: Any, aircraft: Aircraft, airspeed: Any, altit
     return flow["CL"], flow["CD"], pitching / aircraft.Iy
 
 
-# --- Steady flight in six degrees of freedom: straight or turning, with sideslip, bank or unequal engines.
+# --- Steady straight level flight in six degrees of freedom, with sideslip or without.
 
-MOMENTS = ("Cm", "Cl", "Cn")
 MAX_ITERATIONS, MAX_STEP = 60, 0.1  # of Newton's method; rad, or shares of the weight
 TOLERANCE = 1e-9  # m/s2, rad/s2
-ANGLE_LIMITS = {"alpha": 0.6, "beta": 0.6, "phi": 1.4, "theta": 1.4}  # rad, either side of zero
+ANGLES = ("alpha", "theta", "phi")
+ANGLE_LIMITS = np.array([0.6, 1.4, 1.4])  # rad, either side of zero
 MAX_DEFLECTION = 1.0  # rad, of a control
-
 SURFACES = ("spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap", "time")  # zero in trim
 
 
-@dataclass(frozen=True)
-class Condition:
-    """Steady flight in SI. Two of sideslip, bank and turn rate are given, and the third one (None) follows. `climb` is
-    the angle of the flight path, rad; `unequal` the left engine's thrust less the right one's over their sum: 1 with
-    the left engine alone."""
+class Condition(NamedTuple):
+    """Straight level flight in SI; the bank that holds the sideslip follows."""
 
-    airspeed: float
-    altitude: float
-    sideslip: float | None = 0.0
-    bank: float | None = None
-    turn_rate: float | None = 0.0
-    climb: float = 0.0
-    unequal: float = 0.0
-
-    def __post_init__(self) -> None:
-        if sum(x is None for x in (self.sideslip, self.bank, self.turn_rate)) != 1:
-            raise InputError("steady flight has two of sideslip, bank and turn rate given; the third one follows")
+    airspeed: Any
+    altitude: Any
+    sideslip: Any = 0.0
 
 
 @dataclass(frozen=True)
@@ -179,18 +167,15 @@ def control_signs(model: Model, values: Values, aircraft: Aircraft, airspeed: fl
     """For each moment coefficient the first control with an effect on it, and the sign of the effect."""
     rest = {n: jnp.zeros(()) for n in (*SIGNALS, *CONTROLS, "aileron", "rudder", "alpha_dot")}
     rest |= {"airspeed": jnp.asarray(airspeed), "density": jnp.ones(()), "mach": jnp.asarray(0.3)}
+    tried = {"Cm": CONTROLS, "Cl": ("aileron",), "Cn": ("rudder",)}
 
-    def found(deflections):
+    def moments_of(deflections):
         flow = model.flow(values, rest | deflections, aircraft, X=jnp.ones(()))
-        return {name: flow[name] for name in MOMENTS}
+        return {name: flow[name] for name in tried}
 
-    slopes = jax.jacfwd(found)({n: jnp.zeros(()) for n in (*CONTROLS, "aileron", "rudder")})
-    chosen = {}
-    for name, tried in (("Cm", CONTROLS), ("Cl", ("aileron",)), ("Cn", ("rudder",))):
-        working = [n for n in tried if float(slopes[name][n]) != 0.0]
-        if working:
-            chosen[name] = (working[0], float(np.sign(slopes[name][working[0]])))
-    return chosen
+    slopes = jax.jacfwd(moments_of)({n: jnp.zeros(()) for n in (*CONTROLS, "aileron", "rudder")})
+    working = {name: [n for n in controls if float(slopes[name][n]) != 0.0] for name, controls in tried.items()}
+    return {name: (n[0], float(np.sign(slopes[name][n[0]]))) for name, n in working.items() if n}
 
 
 def rigid_trim(model: Model, values: Values, aircraft: Aircraft, condition: Condition) -> RigidTrim:
@@ -198,64 +183,46 @@ def rigid_trim(model: Model, values: Values, aircraft: Aircraft, condition: Cond
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     controls = tuple(name for name, _ in control_signs(model, values, aircraft, condition.airspeed).values())
     body = RigidBody(model, values, aircraft)
-    attitude = {"beta": condition.sideslip, "phi": condition.bank, "turn_rate": condition.turn_rate}
-    angles = ("alpha", "theta", *(n for n, x in attitude.items() if x is None))
-    given = {name: x for name, x in asdict(condition).items() if name not in ("sideslip", "bank", "turn_rate")}
-    given |= {name: x for name, x in attitude.items() if x is not None}
-    given = {name: jnp.asarray(x, float) for name, x in given.items()}  # arrays: one program for every condition
-    unknown = np.zeros(len(angles) + 1 + len(controls))
-    unknown[:2], unknown[len(angles)] = 0.08, 0.1
+    given = Condition(*(jnp.asarray(x, float) for x in condition))  # arrays: one program for every condition
+    unknown = np.array([0.08, 0.08, 0.0, 0.1] + [0.0] * len(controls))
     for _ in range(MAX_ITERATIONS):
-        imbalance, slope = _linear(body, given, angles, controls, jnp.asarray(unknown))
-        imbalance, slope = np.asarray(imbalance), np.asarray(slope)
+        imbalance, slope = map(np.asarray, _linear(body, given, controls, jnp.asarray(unknown)))
         if not (np.all(np.isfinite(imbalance)) and np.all(np.isfinite(slope))):
             break
         if np.max(np.abs(imbalance)) < TOLERANCE:
-            attained = {n: float(x or 0.0) for n, x in attitude.items()}
-            attained |= dict(zip(angles, map(float, unknown), strict=False))
-            deflections = dict(zip(controls, map(float, unknown[len(angles) + 1 :]), strict=True))
-            inside = all(abs(attained[n]) < most for n, most in ANGLE_LIMITS.items())
-            if not inside or any(abs(x) > MAX_DEFLECTION for x in deflections.values()):
+            angles, deflections = unknown[:3], unknown[4:]
+            if np.any(np.abs(angles) >= ANGLE_LIMITS) or np.any(np.abs(deflections) > MAX_DEFLECTION):
                 break
-            down = down_of(np.float64(attained["phi"]), np.float64(attained["theta"]))
-            state = {n: attained[n] for n in ("alpha", "beta", "phi", "theta")}
+            state = dict(zip(ANGLES, map(float, angles), strict=True)) | {"beta": condition.sideslip}
             state |= {"airspeed": condition.airspeed, "altitude": condition.altitude, "psi": 0.0}
-            state |= {n: attained["turn_rate"] * float(x) for n, x in zip(RATES, down, strict=True)}
-            return RigidTrim(state, deflections, float(unknown[len(angles)]) * float(aircraft.mass) * GRAVITY)
+            thrust = float(unknown[3]) * float(aircraft.mass) * GRAVITY
+            return RigidTrim(
+                state | dict.fromkeys(RATES, 0.0), dict(zip(controls, map(float, deflections), strict=True)), thrust
+            )
         step = -np.linalg.lstsq(slope, imbalance, rcond=1e-12)[0]
         unknown = unknown + step * min(1.0, MAX_STEP / max(np.max(np.abs(step)), 1e-12))
-    asked = {"sideslip": condition.sideslip, "bank": condition.bank, "turn rate": condition.turn_rate}
-    degrees = ", ".join(f"{name} {np.degrees(x):.3g} deg" for name, x in asked.items() if x)
+    sideslip = f" with sideslip {np.degrees(condition.sideslip):.3g} deg" if condition.sideslip else ""
     raise InputError(
-        f"there is no steady flight at {condition.airspeed:.0f} m/s and {condition.altitude:.0f} m"
-        f"{f' with {degrees}' if degrees else ''} that {', '.join(controls) or 'no control'} can hold; change the "
-        "speed or add a control to the model"
+        f"there is no steady flight at {condition.airspeed:.0f} m/s and {condition.altitude:.0f} m{sideslip} that "
+        f"{', '.join(controls) or 'no control'} can hold; change the speed or add a control to the model"
     )
 
 
 @eqx.filter_jit
-def _linear(
-    body: RigidBody,
-    given: Mapping[str, Float[Array, ""]],
-    angles: tuple[str, ...],
-    controls: tuple[str, ...],
-    unknown: Float[Array, " k"],
-):
-    """Accelerations and climb that are not balanced, and their derivative by the unknowns; `given` by the condition."""
-    weight = body.aircraft.mass * GRAVITY
+def _linear(body: RigidBody, given: Condition, controls: tuple[str, ...], unknown: Float[Array, " k"]):
+    """Accelerations and climb that are not balanced, and their derivative by the unknowns."""
 
     def imbalance(z):
-        s = dict(given) | dict(zip(angles, z, strict=False))
-        turn = s.pop("turn_rate")
-        thrust = z[len(angles)] * weight
-        s |= dict(zip(RATES, (turn * x for x in down_of(s["phi"], s["theta"])), strict=True))
+        s = {"airspeed": given.airspeed, "altitude": given.altitude, "beta": given.sideslip}
+        s |= dict(zip(ANGLES, z[:3], strict=True))
+        thrust = z[3] * body.aircraft.mass * GRAVITY
         u = {n: jnp.zeros_like(z[0]) for n in (*CONTROLS, "aileron", "rudder", *SURFACES)}
-        u |= dict(zip(controls, z[len(angles) + 1 :], strict=True)) | {"thrust": thrust}
-        u |= {f"thrust_{n}": 0.5 * thrust * (1.0 + f * given["unequal"]) for n, f in (("left", 1.0), ("right", -1.0))}
+        u |= dict(zip(controls, z[4:], strict=True))
+        u |= {"thrust": thrust, "thrust_left": 0.5 * thrust, "thrust_right": 0.5 * thrust}
         x = jnp.stack([jnp.asarray(s.get(name, 0.0), float) for name in body.start])
         state = body.state_at_start(body.complete_start(x, u))
         rates = dict(zip(body.states, body.motion(state, u)[0], strict=True))
-        climb = rates["altitude"] / given["airspeed"] - jnp.sin(given["climb"])
+        climb = rates["altitude"] / given.airspeed
         return jnp.stack([*(rates[name] for name in ("airspeed", "alpha", "beta", "p", "q", "r")), climb])
 
     return imbalance(unknown), jax.jacfwd(imbalance)(unknown)
@@ -373,54 +340,40 @@ def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: fl
     if not np.all(np.isfinite(A)):
         raise InputError("the equations of motion are not finite about steady flight; check the card's constants")
     kept = [k for k, n in enumerate(states) if n not in WITHOUT_FORCE]
-    own = [states[k] for k in kept]
+    moving = [states[k] for k in kept]
     eigenvalues, vectors = np.linalg.eig(np.asarray(A, float)[np.ix_(kept, kept)])
-    scale = np.array([1.0 / airspeed if n in ("airspeed", "u", "w") else 1.0 for n in own])
-    named = []
-    for value, vector in zip(eigenvalues, vectors.T, strict=True):
-        if value.imag >= 0.0:
-            named.append((complex(value), dict(zip(own, np.abs(vector) * scale, strict=True))))
-    named.sort(key=lambda pair: -abs(pair[0]))
-    lateral = [one for one in named if _share(one[1], LATERAL) > 0.5]
-    rest = [one for one in named if _share(one[1], LATERAL) <= 0.5]
-    return (*_longitudinal(rest), *_lateral(lateral, own))
+    scale = np.array([1.0 / airspeed if n in ("airspeed", "u", "w") else 1.0 for n in moving])
+    power = np.square(np.abs(vectors) * scale[:, None])
+    power = power / power.sum(axis=0)
 
+    def share(k: int, names: Sequence[str]) -> float:
+        """Of these states in the motion of mode k."""
+        return float(power[np.isin(moving, names), k].sum())
 
-Eigenmotions = list[tuple[complex, dict[str, float]]]
-
-
-def _share(motion: Mapping[str, float], names: Sequence[str]) -> float:
-    return sum(motion.get(n, 0.0) ** 2 for n in names) / sum(x**2 for x in motion.values())
-
-
-def _longitudinal(found: Eigenmotions) -> list[MotionMode]:
-    """The faster oscillation is the short period, the slower one the phugoid. A single one is the short period if alpha
-    varies more than speed."""
-    oscillations = [k for k, (value, _) in enumerate(found) if value.imag > 0.0]
-    both = dict(zip(oscillations, (SHORT_PERIOD, PHUGOID), strict=False)) if len(oscillations) > 1 else {}
-    named = []
-    for k, (value, motion) in enumerate(found):
-        name = SHORT_PERIOD if _share(motion, HEAVES) >= _share(motion, SPEEDS) else PHUGOID
-        longitudinal = _share(motion, LONGITUDINAL) > 0.5
-        aperiodic = "" if value.imag > 0.0 else ", aperiodic"
-        named.append(MotionMode(both.get(k, f"{name}{aperiodic}" if longitudinal else OTHER), value))
-    return named
-
-
-def _lateral(found: Eigenmotions, states: Sequence[str]) -> list[MotionMode]:
-    """The oscillation with most sideslip is the Dutch roll; the fastest aperiodic mode is the roll mode. Without
-    sideslip there is neither a Dutch roll nor a spiral, without bank no spiral."""
-    oscillations = sorted((one for one in found if one[0].imag > 0.0), key=lambda one: -_share(one[1], ("beta",)))
-    aperiodic = [one for one in found if one[0].imag == 0.0]
-    names = (DUTCH_ROLL, "lateral phugoid") if "beta" in states else ()
-    named = [MotionMode(names[k] if k < len(names) else OTHER, value) for k, (value, _) in enumerate(oscillations)]
-    first = min(aperiodic, key=lambda one: -_share(one[1], ("p",))) if "beta" not in states and aperiodic else None
-    roll = first or (aperiodic[0] if aperiodic else None)
-    spiral = aperiodic[-1] if {"beta", "phi"} <= set(states) and len(aperiodic) > 1 else None
-    for one in aperiodic:
-        name = ROLL if one is roll and "p" in states else SPIRAL if one is spiral else OTHER
-        named.append(MotionMode(name, one[0]))
-    return named
+    order = sorted(map(int, np.flatnonzero(np.imag(eigenvalues) >= 0.0)), key=lambda k: -abs(eigenvalues[k]))
+    oscillates = np.imag(eigenvalues) > 0.0
+    names = {}
+    plane = [k for k in order if share(k, LATERAL) <= 0.5]
+    # The faster oscillation is the short period. A single one is it if alpha varies more than speed.
+    oscillations = [k for k in plane if oscillates[k]]
+    for k in plane:
+        name = SHORT_PERIOD if share(k, HEAVES) >= share(k, SPEEDS) else PHUGOID
+        names[k] = f"{name}{'' if oscillates[k] else ', aperiodic'}" if share(k, LONGITUDINAL) > 0.5 else OTHER
+    if len(oscillations) > 1:
+        names |= dict(zip(oscillations, (SHORT_PERIOD, PHUGOID), strict=False))
+    # The oscillation with most sideslip is the Dutch roll, the fastest aperiodic mode the roll mode. Without sideslip
+    # there is neither a Dutch roll nor a spiral, without bank no spiral.
+    lateral = [k for k in order if k not in names]
+    oscillations = sorted((k for k in lateral if oscillates[k]), key=lambda k: -share(k, ("beta",)))
+    aperiodic = [k for k in lateral if not oscillates[k]]
+    names |= dict.fromkeys(lateral, OTHER)
+    if "beta" in moving:
+        names |= dict(zip(oscillations, (DUTCH_ROLL, "lateral phugoid"), strict=False))
+    if {"beta", "phi"} <= set(moving) and len(aperiodic) > 1:
+        names[aperiodic[-1]] = SPIRAL
+    if "p" in moving and aperiodic:
+        names[aperiodic[0] if "beta" in moving else max(aperiodic, key=lambda k: share(k, ("p",)))] = ROLL
+    return tuple(MotionMode(names[k], complex(eigenvalues[k])) for k in (*plane, *oscillations, *aperiodic))
 
 
 @eqx.filter_jit

@@ -21,14 +21,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from bayes_aero.dynamics.flight import EffectDynamics
-from bayes_aero.dynamics.innovations import (
+from bayes_aero.dynamics.kalman import (
+    Filtered,
     disturbances_along,
     filter_segments,
+    innovations_density,
     linear_innovations,
     linearise,
+    log_likelihood,
     noise_derivatives,
 )
-from bayes_aero.dynamics.kalman import Filtered, NoisePoint, innovations_density, log_likelihood
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health import quantum
 from bayes_aero.inference.covariance import covariance_of
@@ -272,7 +274,7 @@ def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
     """The same segments in gusts; linear systems have no gusts."""
     # Where the model has buffet, the noise of the sensors does not grow as the flow separates.
     dynamics = flown.dynamics
-    if not isinstance(dynamics, EffectDynamics):
+    if not isinstance(dynamics, EffectDynamics) or dynamics.biased:
         return flown
     dynamics = dynamics.for_filter()
     if not dynamics.meets_gusts:
@@ -365,8 +367,7 @@ class InnovationsDensity(LogDensity):
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
         k, c = len(self.flown.dynamics.free), len(self.flown.outputs)
         F = jnp.zeros(len(self.process)).at[self.disturbed].set(x[k:-c])
-        point = NoisePoint(x[:k], F, x[-c:] ** 2)
-        total = innovations_density(self.flown, point, jnp.asarray(self.deviation))
+        total = innovations_density(self.flown, x[:k], jnp.asarray(self.deviation), F, x[-c:] ** 2)
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
     def start(self, fit: PredictionErrorResult) -> Float[np.ndarray, " k"]:

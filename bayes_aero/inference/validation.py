@@ -24,8 +24,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from scipy.special import betainc
 from scipy.stats import beta, binom, norm
 
-from bayes_aero.dynamics.innovations import neighbour_correlation
-from bayes_aero.dynamics.kalman import Filtered
+from bayes_aero.dynamics.kalman import Filtered, neighbour_correlation
 from bayes_aero.dynamics.trim import conditions, steady_flow
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card

@@ -22,6 +22,11 @@ from bayes_aero.physics.kinematics import ANGLES, RATES, as_symmetric, integral,
 from bayes_aero.units import number
 
 DIRECTIONS_PER_CALL = 16
+Theta = Float[AnyArray, " k"]
+Directions = Float[AnyArray, "d k"]
+Residual = Float[AnyArray, "m c"]  # of m blocks and c outputs
+Slopes = Float[AnyArray, "d m c"]
+Offsets = Float[AnyArray, "m c o"]
 
 
 class ResidualModel(ABC):
@@ -31,6 +36,7 @@ class ResidualModel(ABC):
     model: Model
     stage: ClassVar[str]  # with what the model is compared
     white: ClassVar[bool] = False  # of a correct model, sample by sample
+    averaged: ClassVar[int] = FILTER_STEP  # samples of which each residual is the mean
     kinematic: ClassVar[bool] = False  # the flight path alone: of its errors the coefficients say what they make worse
 
     def with_channels(self, channels: Mapping[str, AnyArray]) -> ResidualModel:
@@ -73,26 +79,21 @@ class ResidualModel(ABC):
         """The part of each block, by which terms are judged as one is left out; all one where the colour tells."""
         return self.stretch
 
-    @property
-    def averaged(self) -> int:
-        """Samples of which each residual is the mean."""
-        return FILTER_STEP
-
-    def separated(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " m"]:
+    def separated(self, theta: Theta) -> Float[np.ndarray, " m"]:
         """Separated share of the flow, 1 - X, of each block, with which noise grows."""
         return 1.0 - np.asarray(self.block(self.predict(theta)["X"]))
 
-    def predict(self, theta: Float[np.ndarray, " k"]) -> dict[str, np.ndarray]:
+    def predict(self, theta: Theta) -> dict[str, np.ndarray]:
         """Signals that describe the residuals, by name, at the recorded rate."""
         return {name: np.asarray(x) for name, x in self.evaluate(theta)[1].items()}
 
-    def residuals(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c"]:
+    def residuals(self, theta: Theta, outputs: Sequence[str]) -> Residual:
         """Residuals of these outputs at the parameters `theta`."""
         return np.asarray(self.evaluate(theta)[0])[:, [self.outputs.index(name) for name in outputs]]
 
     def holdout(
         self, folds: Sequence[slice], fitted: Callable[[list[int]], np.ndarray], outputs: Sequence[str]
-    ) -> Float[np.ndarray, "m c"]:
+    ) -> Residual:
         """Residuals of every fold at the parameters `fitted` to the others; zeros between folds."""
         residual = np.zeros((len(self.manoeuvre), len(outputs)))
         for left_out, fold in enumerate(folds):
@@ -105,63 +106,44 @@ class ResidualModel(ABC):
         """Means over blocks of anything sampled at the recorded rate."""
 
     @abstractmethod
-    def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[AnyArray, "m c"], Mapping[str, AnyArray]]:
+    def evaluate(self, theta: Theta) -> tuple[Residual, Mapping[str, AnyArray]]:
         """Residuals at the free parameters `theta`, and signals that describe them by name, at the recorded rate."""
 
     @abstractmethod
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
+    def offsets(self, theta: Theta, outputs: Sequence[str]) -> Offsets:
         """Sensitivities to quantities that are free in every fit and no parameters: initial values of integrals."""
 
-    def slopes(
-        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+    def slopes(self, theta: Theta, directions: Directions) -> tuple[Residual, Slopes]:
         """Residuals and minus their derivatives in `DIRECTIONS_PER_CALL` directions."""
         raise NotImplementedError  # of those that linearise by all columns at once
 
-    def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
+    def slopes_at(self, theta: Theta) -> Callable[[Directions], tuple]:
         """`slopes` at these parameters as a function of the directions."""
         return lambda directions: self.slopes(theta, directions)
 
-    def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
-        """Residuals under series that are added to the coefficients, at fixed parameters."""
+    def added(self, theta: Theta) -> Any:
+        """What residuals make, to first order, of series that are added to the coefficients, at fixed parameters."""
+        # `signals` of the flow, X and the marks, each (n,), of which the series are functions; `columns(coefficient,
+        # made, outputs, deviation)`: the series as residuals show them (d, t), their columns (d, m, c), and the size of
+        # each beside this deviation of the outputs, (d,).
         raise NotImplementedError  # of the flight path, which has no coefficients
 
     def linearise(
-        self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
+        self, theta: Theta, columns: Int[np.ndarray, " j"] | None = None
+    ) -> tuple[Residual, Float[np.ndarray, "m c j"]]:
         """Residuals, measured minus modelled, and minus their derivatives by `columns`."""
         indices = np.arange(len(theta)) if columns is None else np.asarray(columns)
-        residual, S, slopes = None, None, self.slopes_at(theta)
-        size = DIRECTIONS_PER_CALL
-        places = [np.arange(i, min(i + size, len(indices))) for i in range(0, len(indices), size)]
-        for place in places or [np.arange(0)]:
-            directions = np.zeros((size, len(theta)))
-            directions[np.arange(len(place)), indices[place]] = 1.0
-            residual, slope = slopes(directions)
-            S = np.empty((*residual.shape, len(indices))) if S is None else S
-            S[:, :, place] = np.moveaxis(slope[: len(place)], 0, 2)
-        assert residual is not None
-        assert S is not None
-        return residual, S
+        slopes, size = self.slopes_at(theta), DIRECTIONS_PER_CALL
+        directions = np.zeros((max(-(-len(indices) // size), 1) * size, len(theta)))
+        directions[np.arange(len(indices)), indices] = 1.0
+        parts = [slopes(part) for part in np.split(directions, len(directions) // size)]
+        S = np.concatenate([slope for _, slope in parts])[: len(indices)]
+        return parts[0][0], np.ascontiguousarray(np.moveaxis(S, 0, 2))
 
 
 Signals = Mapping[str, Any]
 Made = Callable[[Signals], Float[np.ndarray, "d n"]]
 """Functions of the flight: d series of one value for every sample, from its signals."""
-
-
-class AddedSeries(ABC):
-    """What residuals make, to first order, of series that are added to a coefficient."""
-
-    @abstractmethod
-    def signals(self) -> Mapping[str, AnyArray]:
-        """Signals of the flow, X and the marks, each (n,), of which the series are functions."""
-
-    @abstractmethod
-    def columns(
-        self, coefficient: str, made: Made, outputs: Sequence[str], deviation: Float[np.ndarray, " c"]
-    ) -> tuple[Float[np.ndarray, "d t"], Float[np.ndarray, "d m c"], Float[np.ndarray, " d"]]:
-        """The series as residuals show them, their columns, and the size of each beside this `deviation`."""
 
 
 class Blockwise(ResidualModel):
@@ -185,14 +167,11 @@ class Blockwise(ResidualModel):
             begin += length
         return namespace(x).concatenate(parts)
 
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
+    def offsets(self, theta: Theta, outputs: Sequence[str]) -> Offsets:  # noqa: ARG002
         """A constant for each manoeuvre and flight-path output: the initial value of the integral."""
-        manoeuvre = self.manoeuvre
-        path = [c for c, name in enumerate(outputs) if name not in self.model.coefficients]
-        S = np.zeros((len(manoeuvre), len(outputs), (int(manoeuvre[-1]) + 1) * len(path)))
-        for place, (k, c) in enumerate((k, c) for k in range(int(manoeuvre[-1]) + 1) for c in path):
-            S[manoeuvre == k, c, place] = 1.0
-        return S
+        own = self.manoeuvre[:, None] == np.arange(self.manoeuvre[-1] + 1)  # m k
+        path = np.eye(len(outputs))[:, [c for c, name in enumerate(outputs) if name not in self.model.coefficients]]
+        return np.einsum("mk,cp->mckp", own, path).reshape(len(own), len(outputs), -1)
 
 
 # --- Windows of output error, between which the scatter tests effects where there are no accelerometers.
@@ -275,12 +254,10 @@ class FlightPathError(Blockwise):
         channels = {name: np.asarray(x) for name, x in as_symmetric(flights.channels).items()}
         return cls(replace(flights, channels=channels), model, flight_path(flights))
 
-    def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[np.ndarray, "m c"], Mapping[str, AnyArray]]:
+    def evaluate(self, theta: Theta) -> tuple[Residual, Mapping[str, AnyArray]]:
         return self._residual(np.asarray(theta)), {}
 
-    def slopes(
-        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+    def slopes(self, theta: Theta, directions: Directions) -> tuple[Residual, Slopes]:
         theta = np.asarray(theta)
         residual = self._residual(theta)
         slope = np.zeros((len(directions), *residual.shape))
@@ -293,7 +270,7 @@ class FlightPathError(Blockwise):
         return residual, slope
 
     @cached_property
-    def _cache(self) -> dict[bytes, Float[np.ndarray, "m c"]]:
+    def _cache(self) -> dict[bytes, Residual]:
         return {}
 
     @cached_property
@@ -309,7 +286,7 @@ class FlightPathError(Blockwise):
     def _on_record(self) -> tuple[Effect, ...]:
         return tuple(e for e in self.model.acting if e.stage in RECORD_STAGES)
 
-    def _residual(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
+    def _residual(self, theta: Theta) -> Residual:
         """Residuals at a parameter vector, read only; stored, because searches repeat the same vectors."""
         key = theta.tobytes()
         residual = self._cache.pop(key, None)

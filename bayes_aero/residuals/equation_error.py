@@ -31,14 +31,7 @@ from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import LiftRegression, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
 from bayes_aero.physics.kinematics import LATERAL, PATH
-from bayes_aero.residuals.base import (
-    AddedSeries,
-    Blockwise,
-    Made,
-    ResidualModel,
-    differences,
-    flight_path,
-)
+from bayes_aero.residuals import base
 from bayes_aero.units import number
 
 DIRECTIONS_AT_ONCE = 4  # most calls need no more, and larger ones are no slower
@@ -46,7 +39,7 @@ RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect
 LATERAL_RESPONSE = ("p", "r", "ay")  # and those of the lateral axis
 
 
-class EquationError(Blockwise, eqx.Module):
+class EquationError(base.Blockwise, eqx.Module):
     """Residuals of one set of flights under one model of many effects."""
 
     # Residuals are averaged over m blocks. They are in units of the recorded response: the residual of a coefficient is
@@ -70,18 +63,18 @@ class EquationError(Blockwise, eqx.Module):
         program = jax.make_jaxpr(measured)(*np.ones(len(model.names))).jaxpr
         read = {id(x) for step in program.eqns for x in step.invars} | {id(x) for x in program.outvars}
         measuring = tuple(i for i, x in enumerate(program.invars) if id(x) in read)
-        return cls(flights, model, measuring, flight_path(flights))
+        return cls(flights, model, measuring, base.flight_path(flights))
 
     @property
     def outputs(self) -> tuple[str, ...]:
         return (*self.model.coefficients, *self.path)
 
-    def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[np.ndarray, "m c"], dict[str, np.ndarray]]:
+    def evaluate(self, theta: base.Theta) -> tuple[base.Residual, dict[str, np.ndarray]]:
         residual, details = _evaluate(self._padded, theta)
         n, m = self.flights.n, len(self.manoeuvre)
         return np.asarray(residual)[:m], {name: np.asarray(x)[:n] for name, x in details.items()}
 
-    def traced(self, theta: Float[Array, " k"]) -> tuple[Float[Array, "m c"], dict[str, Array]]:
+    def traced(self, theta: base.Theta) -> tuple[base.Residual, dict[str, Array]]:
         """`evaluate` as part of a larger compiled program."""
         return _residuals(_Padded(self, self.flights.regression(), None), theta)
 
@@ -95,12 +88,12 @@ class EquationError(Blockwise, eqx.Module):
         begins[: len(first)] = first
         return _Padded(replace(self, flights=padded), regression, begins)
 
-    def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
+    def added(self, theta: base.Theta) -> _AddedToEquations:
         return _AddedToEquations(self, theta)
 
     def linearise(
-        self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
+        self, theta: base.Theta, columns: Int[np.ndarray, " j"] | None = None
+    ) -> tuple[base.Residual, Float[np.ndarray, "m c j"]]:
         k, m = len(theta), len(self.manoeuvre)
         indices = np.arange(k) if columns is None else np.asarray(columns)
         # Parameters that change the measured coefficients cost four times those that change only the modelled ones.
@@ -131,63 +124,45 @@ class _Padded(NamedTuple):
         return means.at[self.begins].get(mode="promise_in_bounds")  # a fifth of what is gathered sample by sample
 
 
-class _Signals:
-    """Corrected signals of all flights, the aircraft with its corrected constants, and scales of the response."""
+def _corrected(padded: _Padded, values: Mapping[str, Any]):
+    """Corrected signals of all flights, the aircraft with its corrected constants, and the factors (n, c) that convert
+    residuals of coefficients to units of the recorded response."""
+    f, model = padded.responses.flights, padded.responses.model
+    s = f.with_slopes(model.corrected(values, f.channels, f.aircraft), padded.regression)
+    aircraft, lateral = model.actual_aircraft(values, f.aircraft), Axis.LATERAL in model.axes
+    response = tuple(dict.fromkeys((*RESPONSE, *(LATERAL_RESPONSE if lateral else ()))))
+    scales = response_scales(model, values, f.channels, f.aircraft, response)
+    recorded = f.channels["density"] * jnp.square(f.channels["airspeed"])
+    ratio = s["density"] * jnp.square(s["airspeed"]) / recorded
+    force = ratio * (f.aircraft.mass / aircraft.mass)
+    factors = {"CL": force, "CD": force, "Cm": ratio * (f.aircraft.Iy / aircraft.Iy) / scales["q"]}
+    if lateral:
+        roll = ratio * (f.aircraft.Ix / aircraft.Ix) / scales["p"]
+        yaw = ratio * (f.aircraft.Iz / aircraft.Iz) / scales["r"]
+        factors |= {"CY": force / scales["ay"], "Cl": roll, "Cn": yaw}
+    return s, aircraft, scales, jnp.stack([factors[name] for name in model.coefficients], axis=-1)
 
-    def __init__(self, padded: _Padded, values: Mapping[str, Any]) -> None:
-        responses = padded.responses
-        f, model = responses.flights, responses.model
-        self.responses = responses
-        self.signals = f.with_slopes(model.corrected(values, f.channels, f.aircraft), padded.regression)
-        self.aircraft = model.actual_aircraft(values, f.aircraft)
-        response = dict.fromkeys((*RESPONSE, *(LATERAL_RESPONSE if Axis.LATERAL in model.axes else ())))
-        self.scales = response_scales(model, values, f.channels, f.aircraft, tuple(response))
 
-    def modelled(self, values: Mapping[str, Any]) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
-        """Coefficients of the model, and the separation point."""
-        flow = self.responses.model.flow(values, self.signals, self.aircraft)
-        return jnp.stack([flow[name] for name in self.responses.model.coefficients], axis=-1), flow["X"]
-
-    @property
-    def factors(self) -> Float[Array, "n c"]:
-        """Those that convert residuals of coefficients to units of the recorded response."""
-        f, aircraft, scales = self.responses.flights, self.aircraft, self.scales
-        pressure = self.signals["density"] * jnp.square(self.signals["airspeed"])
-        nominal = f.channels["density"] * jnp.square(f.channels["airspeed"])
-        ratio = pressure / nominal
-        force = ratio * (f.aircraft.mass / aircraft.mass)
-        pitch = ratio * (f.aircraft.Iy / aircraft.Iy) / scales["q"]
-        factors = {"CL": force, "CD": force, "Cm": pitch}
-        if Axis.LATERAL in self.responses.model.axes:
-            roll = ratio * (f.aircraft.Ix / aircraft.Ix) / scales["p"]
-            yaw = ratio * (f.aircraft.Iz / aircraft.Iz) / scales["r"]
-            factors |= {"CY": force / scales["ay"], "Cl": roll, "Cn": yaw}
-        return jnp.stack([factors[name] for name in self.responses.model.coefficients], axis=-1)
+def _modelled(model: Model, values: Mapping[str, Any], s: Mapping[str, Any], aircraft: Any) -> tuple[Array, Array]:
+    """Coefficients (n, c) of the model, and the separation point (n,)."""
+    flow = model.flow(values, s, aircraft)
+    return jnp.stack([flow[name] for name in model.coefficients], axis=-1), flow["X"]
 
 
 @dataclass(frozen=True)
-class _AddedToEquations(AddedSeries):
+class _AddedToEquations:
     """Series smoothed and averaged over blocks as the coefficient is; a column is as large as its root mean square."""
 
     responses: EquationError
-    theta: Float[np.ndarray, " k"]
-
-    def signals(self) -> Mapping[str, np.ndarray]:
-        return self._signals
+    theta: base.Theta
 
     @cached_property
-    def _signals(self) -> Mapping[str, np.ndarray]:
+    def signals(self) -> Mapping[str, np.ndarray]:
         return self.responses.evaluate(self.theta)[1]
 
-    def columns(
-        self,
-        coefficient: str,
-        made: Made,
-        outputs: Sequence[str],
-        deviation: Float[np.ndarray, " c"],  # noqa: ARG002
-    ) -> tuple[Float[np.ndarray, "d t"], Float[np.ndarray, "d m c"], Float[np.ndarray, " d"]]:
+    def columns(self, coefficient: str, made: base.Made, outputs: Sequence[str], _deviation: Float[np.ndarray, " c"]):
         ends = tuple(np.asarray(self.responses.flights.channels[name]) for name in ("first", "last"))
-        raw = np.stack([smooth_joined(x, *ends) for x in made(self.signals())], axis=1)
+        raw = np.stack([smooth_joined(x, *ends) for x in made(self.signals)], axis=1)
         series = np.asarray(self.responses.block(raw)).T
         slopes = np.zeros((*series.shape, len(outputs)))
         slopes[:, :, outputs.index(coefficient)] = series
@@ -203,17 +178,17 @@ def _residuals(padded: _Padded, theta):
     responses = padded.responses
     f, model = responses.flights, responses.model
     values = model.values(theta)
-    own = _Signals(padded, values)
-    measured = stacked_coefficients(own.signals, own.aircraft, model.coefficients)
-    modelled, X = own.modelled(values)
-    columns = [(measured - modelled) * own.factors]
+    signals, aircraft, scales, factors = _corrected(padded, values)
+    measured = stacked_coefficients(signals, aircraft, model.coefficients)
+    modelled, X = _modelled(model, values, signals, aircraft)
+    columns = [(measured - modelled) * factors]
     if responses.path:
-        columns.append(differences(responses.path, own.signals, own.aircraft, own.scales))
+        columns.append(base.differences(responses.path, signals, aircraft, scales))
     residual = _smoothed(f, jnp.concatenate(columns, axis=1))
     both = _smoothed(f, jnp.concatenate([measured, modelled], axis=1))
     c = len(model.coefficients)
     details = {"X": X, "measured": both[:, :c], "modelled": both[:, c:], "residual": residual}
-    return padded.block(residual), {**own.signals, **details}
+    return padded.block(residual), {**signals, **details}
 
 
 _evaluate = eqx.filter_jit(_residuals)
@@ -226,14 +201,13 @@ def _linearise(padded: _Padded, theta, measuring, flowing):
     residual, slope = jax.linearize(lambda t: _residuals(padded, t)[0], theta)
     whole = _along(lambda d: -slope(d), measuring)
     f, model = padded.responses.flights, padded.responses.model
-    own = _Signals(padded, model.values(theta))
-    factors = own.factors
-    _, change = jax.linearize(lambda t: own.modelled(model.values(t))[0] * factors, theta)
+    signals, aircraft, _, factors = _corrected(padded, model.values(theta))
+    _, change = jax.linearize(lambda t: _modelled(model, model.values(t), signals, aircraft)[0] * factors, theta)
     coefficients = _along(lambda d: padded.block(_smoothed(f, change(d))), flowing)
     return residual, whole, coefficients
 
 
-def _along(slope: Callable[[Array], Array], directions: Float[Array, "d k"]) -> Float[Array, "d m c"]:
+def _along(slope: Callable[[Array], Array], directions: base.Directions) -> base.Slopes:
     """Slopes in all directions, `DIRECTIONS_AT_ONCE` at a time; groups of zero directions at the end are skipped."""
     groups = directions.reshape(-1, DIRECTIONS_AT_ONCE, directions.shape[1])
     used = jnp.sum(jnp.any(groups != 0.0, axis=(1, 2)))
@@ -287,7 +261,7 @@ def without_trend(rows: Float[np.ndarray, "r n"]) -> Float[np.ndarray, "r n"]:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-class InBand(ResidualModel):
+class InBand(base.ResidualModel):
     """Transforms take the place of means over blocks: m real and imaginary parts of all lines and manoeuvres."""
 
     rows: tuple[Float[np.ndarray, "_ _"], ...]  # by manoeuvre
@@ -305,7 +279,7 @@ class InBand(ResidualModel):
         parts = zip(self.rows, jnp.split(x, ends), strict=True)
         return jnp.concatenate([jnp.tensordot(rows, part[: rows.shape[1]], axes=1) for rows, part in parts])
 
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
+    def offsets(self, theta: base.Theta, outputs: Sequence[str]) -> base.Offsets:  # noqa: ARG002
         """None: the rows hold no constants."""
         return np.zeros((len(self.manoeuvre), len(outputs), 0))
 
@@ -378,24 +352,20 @@ class LinearFrequencyError(InBand, eqx.Module):
         """Derivatives of the states, then further outputs."""
         return (*(f"d{name}/dt" for name in self.states), *self.further)
 
-    def evaluate(
-        self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
-    ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
+    def evaluate(self, theta: base.Theta) -> tuple[base.Residual, Mapping[str, Array]]:
         return _residual(self.nameless, jnp.asarray(theta)), {}
 
-    def slopes(
-        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+    def slopes(self, theta: base.Theta, directions: base.Directions) -> tuple[base.Residual, base.Slopes]:
         residual, slope = _slopes(self.nameless, jnp.asarray(theta), jnp.asarray(directions))
         return np.asarray(residual), -np.asarray(slope)
 
-    def system_and_inputs(self, theta: Float[Array, " k"]) -> tuple[LinearSystem, dict[str, Array]]:
+    def system_and_inputs(self, theta: base.Theta) -> tuple[LinearSystem, dict[str, Array]]:
         """The system at these parameters, and its recorded inputs."""
         values = self.dynamics.values(theta)
         system: Any = self.dynamics.system(values, self.flights.aircraft)
         return system, self.dynamics.drives(values, self.flights.channels, self.flights)
 
-    def residual(self, theta: Float[Array, " k"]) -> Float[Array, "m c"]:
+    def residual(self, theta: base.Theta) -> base.Residual:
         system, drives = self.system_and_inputs(theta)
         channels = self.flights.channels
         x = jnp.stack([channels[name] for name in self.states], axis=1)
@@ -418,7 +388,7 @@ class LinearFrequencyOutputError(LinearFrequencyError):
     # last is (z - P) X = (G + H z) U - z (x_end - x_begin - H (u_end - u_begin)), z = exp(j w dt). So it needs no
     # integration, which would diverge for an unstable aircraft, and is exact for any record. The change of the state
     # over a record begins with the recorded one; it and a drift of each output are free in every fit.
-    changes: Float[np.ndarray, "w s"]  # of the states, by manoeuvre
+    changes: Float[AnyArray, "w s"]  # of the states, by manoeuvre
 
     @classmethod
     def in_band(cls, flights: Flights, dynamics: LinearDynamics, band: Band) -> LinearFrequencyOutputError:
@@ -435,68 +405,44 @@ class LinearFrequencyOutputError(LinearFrequencyError):
     def outputs(self) -> tuple[str, ...]:
         return (*self.states, *self.further)
 
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
+    def offsets(self, theta: base.Theta, outputs: Sequence[str]) -> base.Offsets:
         """Sensitivities to the change of each state over a manoeuvre, and to a drift of each output."""
         keep = [self.outputs.index(name) for name in outputs]
-        s, c = len(self.states), len(keep)
-        S = np.zeros((len(self.manoeuvre), c, len(self.rows) * (s + c)))
-        begin = 0
-        for k, rows in enumerate(self.rows):
-            place, first = slice(begin, begin + len(rows)), k * (s + c)
-            S[place, :, first : first + s] = np.asarray(_changes(self, jnp.asarray(theta), k))[:, keep]
-            drift = rows @ np.linspace(-1.0, 1.0, rows.shape[1])
-            S[place, np.arange(c), first + s + np.arange(c)] = drift[:, None]
-            begin += len(rows)
-        return S
+        by_change = -np.asarray(_changes(self.nameless, jnp.asarray(theta)))[:, keep]  # m c w s
+        drift = np.concatenate([rows @ np.linspace(-1.0, 1.0, rows.shape[1]) for rows in self.rows])
+        own = self.manoeuvre[:, None] == np.arange(len(self.rows))
+        drifts = np.einsum("m,mw,cd->mcwd", drift, own, np.eye(len(keep)))
+        return np.concatenate([by_change, drifts], axis=3).reshape(len(drift), len(keep), -1)
 
     def moved(self, offsets: Float[np.ndarray, " o"]) -> LinearFrequencyOutputError:
         by = offsets.reshape(len(self.rows), -1)[:, : len(self.states)]
         return replace(self, changes=self.changes + by)
 
-    def residual(self, theta: Float[Array, " k"]) -> Float[Array, "m c"]:
+    def residual(self, theta: base.Theta) -> base.Residual:
         system, drives = self.system_and_inputs(theta)
-        channels, ends = self.flights.channels, np.cumsum([0, *self.flights.lengths])
+        channels, values, s = self.flights.channels, self.dynamics.values(theta), len(self.states)
         recorded = jnp.stack([channels[name] for name in self.outputs], axis=1)
         u = jnp.stack([drives[name] for name in (*system.inputs_read, ONE)], axis=1)
-        parts = []
+        (A, B), (C, D) = ((rows[:, :s], rows[:, s:]) for rows in (system.matrix[:s], system.matrix[s:]))
+        late, i, parts = self.dynamics.delays(self.outputs), B.shape[1], []
+        ends = np.cumsum([0, *self.flights.lengths])
         for k, rows in enumerate(self.rows):
-            samples = slice(ends[k], ends[k + 1])
-            U = _complex(rows @ u[samples][:-1]), u[samples][-1] - u[samples][0]
-            modelled = self.transforms(system, theta, k, U, jnp.asarray(self.changes[k]))
+            samples, n, dt = slice(ends[k], ends[k + 1]), rows.shape[1], channels["dt"][ends[k]]
+            phase = -jnp.angle(_complex(rows)[:, 1])  # of one sample
+            z = jnp.exp(1j * phase)[:, None, None]
+            big = jnp.zeros((s + 2 * i, s + 2 * i))  # x_{j+1} = P x_j + G u_j + H u_{j+1} for u linear between samples
+            big = big.at[:s, :s].set(A * dt).at[:s, s : s + i].set(B * dt).at[s : s + i, s + i :].set(jnp.eye(i))
+            step = expm(big)[:s]
+            P, G, H = step[:, :s], step[:, s : s + i] - step[:, s + i :], step[:, s + i :]
+            U = _complex(rows @ u[samples][:-1])
+            end = np.sqrt(2.0 / n) * (jnp.asarray(self.changes)[k] - H @ (u[samples][-1] - u[samples][0]))
+            X = jnp.linalg.solve(z * jnp.eye(s) - P, (G + H * z) @ U[..., None] - z * end[:, None])[..., 0]
+            signals, read = {name: X[:, j] for j, name in enumerate(self.states)}, X @ C.T + U @ D.T
+            signals |= {name: read[:, row] + signals.get(name, 0.0) for row, name in enumerate(system.read)}
+            signals |= {name: signals[name] * jnp.exp(-1j * phase / dt * values[p]) for name, p in late.items()}
+            modelled = jnp.stack([signals[name] for name in self.outputs], axis=1)
             parts.append(rows @ recorded[samples][:-1] - jnp.concatenate([modelled.real, modelled.imag]))
         return jnp.concatenate(parts)
-
-    def transforms(
-        self,
-        system: LinearSystem,
-        theta: Float[Array, " k"],
-        k: int,
-        U: tuple[Array, Array],
-        change: Float[Array, " s"],
-    ) -> Array:
-        """Transforms (f, c) of the outputs of manoeuvre `k`, complex; `U`: of the inputs, and their change."""
-        n, s = self.rows[k].shape[1], len(self.states)
-        dt = self.flights.channels["dt"][sum(self.flights.lengths[:k])]
-        phase = -jnp.angle(_complex(self.rows[k])[:, 1])  # of one sample
-        z = jnp.exp(1j * phase)[:, None, None]
-        A, B = system.matrix[:s, :s], system.matrix[:s, s:]
-        C, D = system.matrix[s:, :s], system.matrix[s:, s:]
-        i = B.shape[1]
-        big = jnp.zeros((s + 2 * i, s + 2 * i))  # x_{j+1} = P x_j + G u_j + H u_{j+1} for u linear between samples
-        big = big.at[:s, :s].set(A * dt).at[:s, s : s + i].set(B * dt).at[s : s + i, s + i :].set(jnp.eye(i))
-        step = expm(big)[:s]
-        P, G, H = step[:, :s], step[:, s : s + i] - step[:, s + i :], step[:, s + i :]
-        end = np.sqrt(2.0 / n) * (change - H @ U[1])
-        drive = U[0][..., None]
-        X = jnp.linalg.solve(z * jnp.eye(s) - P, (G + H * z) @ drive - z * end[:, None])[..., 0]
-        read = X @ C.T + U[0] @ D.T
-        values = self.dynamics.values(theta)
-        late = {name: values[p] for name, p in self.dynamics.delays(self.outputs).items()}
-        signals = {name: X[:, i] for i, name in enumerate(self.states)}
-        for row, name in enumerate(system.read):
-            signals[name] = read[:, row] + signals.get(name, 0.0)
-        delayed = {name: jnp.exp(-1j * phase / dt * late[name]) for name in late}
-        return jnp.stack([signals[name] * delayed.get(name, 1.0) for name in self.outputs], axis=1)
 
 
 def _complex(parts: Array | np.ndarray) -> Array:
@@ -506,14 +452,7 @@ def _complex(parts: Array | np.ndarray) -> Array:
 
 
 @eqx.filter_jit
-def _changes(responses: LinearFrequencyOutputError, theta, k: int):
-    """Derivatives (m, c, s) of the computed outputs of one manoeuvre by the change of its state."""
-    system, _ = responses.system_and_inputs(theta)
-    inputs = len(system.inputs_read) + 1
-    nothing = jnp.zeros((len(responses.rows[k]) // 2, inputs), complex), jnp.zeros(inputs)
-
-    def parts(change):
-        modelled = responses.transforms(system, theta, k, nothing, change)
-        return jnp.concatenate([modelled.real, modelled.imag])
-
-    return jax.jacfwd(parts)(jnp.zeros(len(responses.states)))
+def _changes(responses: LinearFrequencyOutputError, theta):
+    """Derivatives (m, c, w, s) of the residuals by the changes of the states."""
+    moved = lambda x: eqx.tree_at(lambda r: r.changes, responses, x).residual(theta)  # noqa: E731
+    return jax.jacfwd(moved)(jnp.asarray(responses.changes))

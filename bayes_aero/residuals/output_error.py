@@ -13,41 +13,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from bayes_aero.dynamics import kalman
 from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.innovations import (
-    InputDerivatives,
-    Observed,
-    Observer,
-    StateDerivatives,
-    derivatives_by_input,
-    input_innovations,
-    linearise,
-    observer_derivatives,
-    observer_of,
-    run_observer,
-    state_derivatives,
-)
-from bayes_aero.dynamics.kalman import Filtered
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare, segments, simulate
 from bayes_aero.dynamics.system import motion
-from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.effect import Effect, Example, Stage, effect
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.residuals.base import (
-    DIRECTIONS_PER_CALL,
-    WINDOW,
-    AddedSeries,
-    Made,
-    ResidualModel,
-)
+from bayes_aero.residuals import base
 
 # --- Output error: recorded minus simulated channels, in windows with an initial state each.
 # It is less sensitive than equation error, because a trajectory integrates the error of a coefficient.
 
 
-class OutputError(ResidualModel, eqx.Module):
+class OutputError(base.ResidualModel, eqx.Module):
     """Residuals of simulated windows, averaged over blocks of `FILTER_STEP` samples: m of them."""
 
     flights: Flights
@@ -59,7 +40,7 @@ class OutputError(ResidualModel, eqx.Module):
     @classmethod
     def of(cls, flights: Flights, dynamics: AircraftDynamics, substeps: int = 1) -> OutputError:
         names = tuple(n for n in dynamics.outputs if n in flights.channels)
-        cut = segments(flights, dynamics, outputs=names, window=WINDOW, substeps=substeps)
+        cut = segments(flights, dynamics, outputs=names, window=base.WINDOW, substeps=substeps)
         whole = cut.index.shape[1] // FILTER_STEP * FILTER_STEP
         index, inside, noise_growth = (x[:, :whole] for x in (cut.index, cut.inside, cut.noise_growth))
         cut = replace(cut, index=index, inside=inside, noise_growth=noise_growth)
@@ -99,39 +80,30 @@ class OutputError(ResidualModel, eqx.Module):
     def block(self, x: Float[Array, "n ..."] | Float[np.ndarray, "n ..."]) -> Float[Array, "m ..."]:
         return self._mean(jnp.asarray(x)[self.windows.index])
 
-    def evaluate(
-        self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
-    ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
+    def evaluate(self, theta: base.Theta) -> tuple[base.Residual, Mapping[str, Array]]:
         """Residuals of the windows from their measured initial states."""
         return _residual(self.nameless, jnp.asarray(theta), jnp.zeros(len(self.windows.dynamics.start))), {}
 
-    def slopes(
-        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+    def slopes(self, theta: base.Theta, directions: base.Directions) -> tuple[base.Residual, base.Slopes]:
         rest = np.zeros((len(directions), len(self.windows.dynamics.start)))
         residual, slope = _slopes(self.nameless, *map(jnp.asarray, (theta, directions, rest)))
         return np.asarray(residual), -np.asarray(slope)
 
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
+    def offsets(self, theta: base.Theta, outputs: Sequence[str]) -> base.Offsets:
         """Sensitivities to the initial state of each window."""
         keep = [self.outputs.index(name) for name in outputs]
-        states, rest = len(self.windows.dynamics.start), np.zeros((DIRECTIONS_PER_CALL, len(theta)))
-        directions = np.eye(-(-states // DIRECTIONS_PER_CALL) * DIRECTIONS_PER_CALL, states)
-        parts = np.split(directions, len(directions) // DIRECTIONS_PER_CALL)  # by the program of `slopes`
+        states, rest = len(self.windows.dynamics.start), np.zeros((base.DIRECTIONS_PER_CALL, len(theta)))
+        directions = np.eye(-(-states // base.DIRECTIONS_PER_CALL) * base.DIRECTIONS_PER_CALL, states)
+        parts = np.split(directions, len(directions) // base.DIRECTIONS_PER_CALL)  # by the program of `slopes`
         slopes = [_slopes(self.nameless, *map(jnp.asarray, (theta, rest, part)))[1] for part in parts]
         slope = -np.concatenate(slopes)[:states][:, :, keep]  # s m c
-        window = self.stretch
-        s, m, c = slope.shape
-        S = np.zeros((m, c, len(self.windows.index) * s))
-        for w in range(len(self.windows.index)):
-            mine = window == w
-            S[mine, :, w * s : (w + 1) * s] = np.moveaxis(slope[:, mine], 0, 2)
-        return S
+        own = self.stretch[:, None] == np.arange(len(self.windows.index))  # m w
+        return np.einsum("mw,smc->mcws", own, slope).reshape(len(own), len(keep), -1)
 
-    def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
+    def added(self, theta: base.Theta) -> AddedCoefficients:
         return AddedCoefficients(self, theta)
 
-    def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
+    def residual(self, theta: Any, shared: Any) -> base.Residual:
         """Residuals at these parameters with the initial state of every window changed by `shared` (s,)."""
         simulated = simulate(self.flown, theta, jnp.zeros((len(self.windows.index), 1)) + shared)
         return self._mean(simulated.residual)
@@ -166,10 +138,10 @@ class FilterError(OutputError):
 
     # They are not averaged over blocks as outputs are. The sensitivity to a sensor error contains the noise of that
     # sensor up to the sample before; a block mean would correlate it with the noise of the residual.
-    by: Observer
+    by: kalman.Observer
     stage = "innovations"
     white = True
-    averaged = 1  # sample  # pyright: ignore[reportAssignmentType]
+    averaged = 1
 
     @property
     def stretch(self) -> Int[np.ndarray, " m"]:
@@ -179,19 +151,19 @@ class FilterError(OutputError):
     def after(
         cls,
         cut: SegmentTrajectories,
-        theta: Float[np.ndarray, " k"],
+        theta: base.Theta,
         R: Float[np.ndarray, " c"],
-        filtered: Filtered,
+        filtered: kalman.Filtered,
         dynamics: AircraftDynamics,
     ) -> FilterError:
         """Innovations of a filtered record (`cut`) under extended dynamics, at the filter's `theta`, `R` and result."""
         # The dynamics may lack states of the filter, such as gusts without intensity, and have two separation points
         # where the filter has one, with which both move while the effects are neutral.
-        by = _observer(cut.nameless, jnp.asarray(theta), jnp.asarray(R), filtered)
+        by = kalman.observer_of(cut.nameless, jnp.asarray(theta), jnp.asarray(R), filtered)
         dynamics, states = dynamics.for_filter(), cut.dynamics.states
         names = [name if name in states or name not in POINTS else POINTS[0] for name in dynamics.states]
         rows = np.array([states.index(name) for name in names])
-        by = Observer(by.gain[:, :, rows], by.whitening)
+        by = kalman.Observer(by.gain[:, :, rows], by.whitening)
         cut, place = replace(cut, dynamics=dynamics), np.flatnonzero(cut.inside)
         return cls(flights=cut.flights, windows=cut, place=place, model=dynamics.model, by=by)
 
@@ -209,30 +181,27 @@ class FilterError(OutputError):
     @property
     def parts(self) -> Int[np.ndarray, " m"]:
         """Parts of about `PART` s of every manoeuvre: innovations of different parts are uncorrelated."""
-        manoeuvre, begin, blocks = self.manoeuvre, 0, np.zeros(len(self.place), int)
-        for k in range(int(manoeuvre[-1]) + 1):
-            samples = np.flatnonzero(manoeuvre == k)
-            count = max(round(len(samples) * self.seconds / PART), 1)
-            blocks[samples] = begin + np.arange(len(samples)) * count // len(samples)
+        lengths, begin, parts = np.bincount(self.manoeuvre), 0, []
+        for n in lengths:
+            count = max(round(n * self.seconds / PART), 1)
+            parts.append(begin + np.arange(n) * count // n)
             begin += count
-        return blocks
+        return np.concatenate(parts)
 
-    def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
+    def added(self, theta: base.Theta) -> AddedToFilter:
         return AddedToFilter(self, theta)
 
-    def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:  # noqa: ARG002
-        e = run_observer(self.flown, theta, self.by).innovation
+    def residual(self, theta: Any, shared: Any) -> base.Residual:  # noqa: ARG002
+        e = kalman.run_observer(self.flown, theta, self.by).innovation
         return self.whitened(theta, e[..., None])[..., 0]
 
     def _whitened(self, e: Float[Array, "w n c d"], scale: Float[Array, "w n c"]) -> Float[Array, "m c d"]:
         return self._mean(jnp.einsum("wnij,wnjd->wnid", self.by.whitening, e / scale[..., None]))
 
-    def slopes(
-        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+    def slopes(self, theta: base.Theta, directions: base.Directions) -> tuple[base.Residual, base.Slopes]:
         return self.slopes_at(theta)(directions)
 
-    def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
+    def slopes_at(self, theta: base.Theta) -> Callable[[base.Directions], tuple]:
         """`slopes` as a function of the directions; the path and its derivatives by the state are computed once."""
         path, derivatives = self.path_at(theta)
 
@@ -244,7 +213,7 @@ class FilterError(OutputError):
 
         return slopes
 
-    def path_at(self, theta: Float[np.ndarray, " k"]) -> tuple[Observed, StateDerivatives]:
+    def path_at(self, theta: base.Theta) -> tuple[kalman.Observed, kalman.StateDerivatives]:
         """The path of the observer at these parameters, and derivatives by the state along it."""
         return _path(self.nameless, jnp.asarray(theta))
 
@@ -252,28 +221,25 @@ class FilterError(OutputError):
         """Changes of the innovations as they change the residuals."""
         return self._whitened(e, prepare(self.flown, theta).scale)
 
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
+    def offsets(self, theta: base.Theta, outputs: Sequence[str]) -> base.Offsets:  # noqa: ARG002
         """None: the filter estimates the initial state."""
         return np.zeros((len(self.place), len(outputs), 0))
 
 
-_observer = eqx.filter_jit(observer_of)
-
-
 @eqx.filter_jit
 def _path(responses: FilterError, theta):
-    path = run_observer(responses.flown, theta, responses.by)
-    return path, state_derivatives(responses.flown, theta, path.before, path.after)
+    path = kalman.run_observer(responses.flown, theta, responses.by)
+    return path, kalman.state_derivatives(responses.flown, theta, path.before, path.after)
 
 
 @eqx.filter_jit
 def _filter_slopes(responses: FilterError, theta, path, derivatives, directions):
-    lin = linearise(responses.flown, theta, path.before, path.after, directions, derivatives)
+    lin = kalman.linearise(responses.flown, theta, path.before, path.after, directions, derivatives)
     e = path.innovation[..., None]
     # A scale error changes the noise of the record with its signal; without this term it would fit noise.
     grown = e * lin.scale_drive / lin.scale[..., None]
     whitened = responses._whitened(
-        jnp.concatenate([e, observer_derivatives(lin, responses.by) - grown], axis=-1), lin.scale
+        jnp.concatenate([e, kalman.observer_derivatives(lin, responses.by) - grown], axis=-1), lin.scale
     )
     return whitened[..., 0], whitened[..., 1:]
 
@@ -288,17 +254,9 @@ def _filter_slopes(responses: FilterError, theta, path, derivatives, directions)
 def _adding(coefficient: str) -> Effect:
     """The effect that adds an input to a coefficient; always the same object, for models are hashed."""
     channel = channel_of(coefficient)
-    return Effect(
-        name=channel,
-        kind=Kind.AERODYNAMICS,
-        stage=Stage.TOTAL,
-        claim=f"{coefficient} has an addition that is prescribed.",
-        parameters=(),
-        channels=(channel,),
-        increments=lambda v, s, a, known: {coefficient: s[channel]},  # noqa: ARG005
-        example=Example({}, {channel: 0.1}, {coefficient: 0.1}, "it adds what it is given"),
-        source="definition",
-    )
+    example = Example({}, {channel: 0.1}, {coefficient: 0.1}, "it adds what it is given")
+    claim, added = f"{coefficient} has an addition that is prescribed.", lambda _v, s, *_: {coefficient: s[channel]}
+    return effect(channel, claim, "", added, example=example, source="definition", stage=Stage.TOTAL)
 
 
 def channel_of(coefficient: str) -> str:
@@ -306,7 +264,7 @@ def channel_of(coefficient: str) -> str:
 
 
 _states = eqx.filter_jit(lambda responses, theta: responses.states(theta))
-_by_input = eqx.filter_jit(derivatives_by_input)
+_by_input = eqx.filter_jit(kalman.derivatives_by_input)
 
 
 @eqx.filter_jit
@@ -332,10 +290,10 @@ def _signals(responses: OutputError, theta: Any, states: Array) -> dict[str, Arr
     return jax.vmap(jax.vmap(at_sample))(states, prepared.drives)
 
 
-class AddedCoefficients(AddedSeries):
+class AddedCoefficients:
     """Residuals of flights under inputs that are added to the coefficients, at fixed parameters `theta`."""
 
-    def __init__(self, responses: OutputError, theta: Float[np.ndarray, " k"]) -> None:
+    def __init__(self, responses: OutputError, theta: base.Theta) -> None:
         model = responses.model.extended(*map(_adding, responses.model.coefficients))
         nothing = jnp.zeros(responses.flights.n)
         self.zeros = {channel_of(name): nothing for name in model.coefficients}
@@ -345,12 +303,9 @@ class AddedCoefficients(AddedSeries):
         self.responses = replace(responses, flights=flights, windows=windows, model=model).nameless
         self.theta = jnp.asarray(theta)
 
+    @cached_property
     def signals(self) -> dict[str, np.ndarray]:
         """Signals of the flow, X and the marks along the simulated flight, each (n,); samples of no window repeat."""
-        return self._signals
-
-    @cached_property
-    def _signals(self) -> dict[str, np.ndarray]:
         return self.along(_states(self.responses, self.theta))
 
     def along(self, states: Float[Array, "w n s"]) -> dict[str, np.ndarray]:
@@ -366,19 +321,17 @@ class AddedCoefficients(AddedSeries):
         marks = {name: np.asarray(flights.channels[name]) for name in ("dt", "elapsed", "first", "last")}
         return {name: x for name, x in laid.items() if name not in self.zeros} | marks
 
-    def columns(
-        self, coefficient: str, made: Made, outputs: Sequence[str], deviation: Float[np.ndarray, " c"]
-    ) -> tuple[Float[np.ndarray, "d t"], Float[np.ndarray, "d m c"], Float[np.ndarray, " d"]]:
-        """As of `AddedSeries`; a column as large as the residual of the median output, all outputs counted."""
-        series, kept = made(self.signals()), [self.responses.outputs.index(name) for name in outputs]
+    def columns(self, coefficient: str, made: base.Made, outputs: Sequence[str], deviation: Float[np.ndarray, " c"]):
+        """See `ResidualModel.added`; a column as large as the residual of the median output, all outputs counted."""
+        series, kept = made(self.signals), [self.responses.outputs.index(name) for name in outputs]
         slopes = self.slopes(coefficient, made)[:, :, kept]
         scale = np.sqrt(np.mean((slopes / deviation) ** 2, axis=(1, 2))) * float(np.median(deviation))
         return series, slopes, scale
 
-    def slopes(self, coefficient: str, made: Made) -> Float[np.ndarray, "d m c"]:
+    def slopes(self, coefficient: str, made: base.Made) -> base.Slopes:
         """Minus the derivatives of the residuals by the factors of series that are added to a coefficient."""
-        series = made(self.signals())
-        size, slopes = DIRECTIONS_PER_CALL, []
+        series = made(self.signals)
+        size, slopes = base.DIRECTIONS_PER_CALL, []
         for begin in range(0, len(series), size):
             part = series[begin : begin + size]
             wide = jnp.zeros((size, series.shape[1])).at[: len(part)].set(part)
@@ -402,36 +355,35 @@ COLUMNS = 64  # at a time
 def _innovation_slopes(
     responses: FilterError,
     theta: Any,
-    by_state: StateDerivatives,
-    by_input: InputDerivatives,
+    by_state: kalman.StateDerivatives,
+    by_input: tuple[Array, Array],
     series: Float[Array, "2 d n"],
 ) -> Float[Array, "m c d"]:
     flown = responses.flown
     before, after = (jnp.moveaxis(x[:, flown.index], 0, -1) for x in series)  # w n d
-    return responses.whitened(theta, input_innovations(flown, theta, by_state, by_input, responses.by, before, after))
+    return responses.whitened(
+        theta, kalman.input_innovations(flown, theta, by_state, by_input, responses.by, before, after)
+    )
 
 
 class AddedToFilter(AddedCoefficients):
     """Innovations under inputs that are added to the coefficients, at fixed parameters `theta`, gains held."""
 
-    def __init__(self, responses: FilterError, theta: Float[np.ndarray, " k"]) -> None:
+    def __init__(self, responses: FilterError, theta: base.Theta) -> None:
         super().__init__(responses, theta)
         self.path, self.known = responses.path_at(theta)
 
     @cached_property
-    def predicted(self) -> dict[str, np.ndarray]:
+    def signals(self) -> dict[str, np.ndarray]:
         """Signals where each sample's outputs are predicted, by the samples before."""
         return self.along(self.path.before)
 
-    def signals(self) -> dict[str, np.ndarray]:
-        return self.predicted
-
-    def slopes(self, coefficient: str, made: Made) -> Float[np.ndarray, "d m c"]:
+    def slopes(self, coefficient: str, made: base.Made) -> base.Slopes:
         """Minus the derivatives of the whitened innovations; arguments as of `AddedCoefficients.slopes`."""
         responses: Any = self.responses
         direction = {name: jnp.asarray(float(name == channel_of(coefficient))) for name in self.zeros}
         by_input = _by_input(responses.flown, self.theta, self.path.before, self.known, direction)
-        series = np.stack([made(self.predicted), made(self.along(self.path.after))])  # 2 d n
+        series = np.stack([made(self.signals), made(self.along(self.path.after))])  # 2 d n
         slopes = []
         for begin in range(0, series.shape[1], COLUMNS):
             part = series[:, begin : begin + COLUMNS]

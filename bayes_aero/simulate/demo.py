@@ -89,9 +89,9 @@ def simulate_stall(
         disturbance=disturbance * increments,
     )
     alpha = float(pilot.alpha[0])
-    flight = fly(model, TRUTH, card.aircraft, pilot, FlightState(95.0, alpha, alpha, 0.0, 5200.0), DT)
-    half = np.asarray(pilot.thrust) / 2
-    flown = {name: np.asarray(flight[name]) for name in RECORDED} | {"thrust_left": half, "thrust_right": half}
+    start = FlightState(95.0, alpha, alpha, 0.0, 5200.0)
+    (flight,) = fly(model, TRUTH, card.aircraft, [pilot], [start], DT)
+    flown = {name: flight[name] for name in (*RECORDED, "thrust_left", "thrust_right")}
     channels = {
         name: x + sensor_noise * card.sensors.get(name, 0.0) * rng.standard_normal(len(time))
         for name, x in flown.items()
@@ -303,19 +303,16 @@ def refuse(request: Request, card: Card) -> None:
         )
     if request.noise not in NOISES:
         raise InputError(f"there is no noise {request.noise!r}; use one of {', '.join(NOISES)}")
-    if not 0.002 <= request.dt <= 0.1:
-        raise InputError(f"a sampling interval of {request.dt:g} s was asked for; give one from 0.002 to 0.1 s")
     most = LONGEST if request.manoeuvre == RANDOM_STALL else MOST_SAMPLES * request.dt
-    if not SHORTEST <= request.seconds <= most:
-        raise InputError(
-            f"a {request.manoeuvre} of {request.seconds:g} s was asked for; ask for {SHORTEST:g} to {most:g} s"
-        )
-    if not (np.isfinite(request.noise_scale) and request.noise_scale >= 0.0):
-        raise InputError(f"the noise scale is {request.noise_scale}; it must be zero or more")
-    if not 0.0 < request.amplitude <= 5.0:
-        raise InputError(f"an amplitude of {request.amplitude:g} was asked for; it must be positive, at most 5")
-    if not -500.0 <= request.altitude <= 11_000.0:
-        raise InputError(f"an altitude of {request.altitude:g} m was asked for; the simulated air ends at 11000 m")
+    for what, value, low, high, unit in (
+        ("sampling interval", request.dt, 0.002, 0.1, " s"),
+        ("duration", request.seconds, SHORTEST, most, " s"),
+        ("noise scale", request.noise_scale, 0.0, 1000.0, ""),
+        ("amplitude", request.amplitude, 0.01, 5.0, ""),
+        ("altitude", request.altitude, -500.0, 11_000.0, " m"),  # where the simulated air ends
+    ):
+        if not low <= value <= high:
+            raise InputError(f"a {what} of {value:g}{unit} was asked for; give one from {low:g} to {high:g}{unit}")
 
 
 def grid_of(request: Request) -> tuple[Series, slice]:

@@ -4,11 +4,12 @@ record on request: any effects at given sizes, any standard manoeuvre, on the ai
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -17,16 +18,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import LinearOperator, lsmr
 
-from bayes_aero.dynamics.pilot import FlightState, Pilot, fly, fly_rigid, fly_together, standard_pilots
-from bayes_aero.dynamics.trim import (
-    SIGNALS,
-    Condition,
-    RigidTrim,
-    can_simulate,
-    level_speed,
-    refuse_unsimulated,
-    rigid_trim,
-)
+from bayes_aero.dynamics import trim as steady
+from bayes_aero.dynamics.pilot import FlightState, Pilot, fly, standard_pilots
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -37,6 +30,7 @@ from bayes_aero.model.records import plain_marks
 from bayes_aero.physics.aircraft import GAMMA, GAS, NAMES, Aircraft, Axis, Envelope, air, excursion
 from bayes_aero.simulate import demo
 
+T = TypeVar("T")
 FLOWN_AXES = (Axis.LONGITUDINAL,)  # axes on which the simulated aircraft has effects
 NOISES = ("white", "ar1", "buffet", "outliers")
 BEGIN, MACH = (80.0, 110.0), 0.3  # m/s, range of the first airspeed, and the Mach number taken for it
@@ -61,67 +55,67 @@ class Beyond:
     draw: Callable[[np.random.Generator], Mapping[str, float]]
 
 
+NOTHING_BEYOND = Beyond((), lambda _: {})
+
+
 @dataclass(frozen=True)
-class _Setting:
-    seed: int
-    manoeuvres: int
-    noise: str
-    rho: float | None
-    card: Card
-    sensor_noise: float
-    disturbance: float
-    seconds: float | None
-    beyond: tuple[Effect, ...]
-
-
-def hidden_records(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[FlightRecord]:
-    """Records alone of `hidden_flights`, which explains the options."""
-    return [flight.record for flight in hidden_flights(effects, seed=seed, **options)]
-
-
-def hidden_flights(
-    effects: Mapping[str, Mapping[str, float]],
-    *,
-    seed: int,
-    manoeuvres: int = 2,
-    noise: str = "ar1",
-    rho: float | None = None,
-    card: Card | None = None,
-    sensor_noise: float = 1.0,
-    disturbance: float = 1.0,
-    beyond: Beyond | None = None,
-    seconds: float | None = None,
-) -> list[HiddenFlight]:
-    """Random stall manoeuvres of an aircraft near the demo's, in which `effects` (by name, true values) are hidden.
+class Setting:
+    """How effects are hidden.
 
     `noise`: sensor noise alone (`white`); with autoregressive coefficient disturbances (`ar1`; lag-1 correlation `rho`,
     drawn from 0.5 to 0.98 where not given); the same growing with 1 - X (`buffet`); or sensor noise with spikes of ten
     standard deviations on accelerations and pitch rate (`outliers`). `sensor_noise` and `disturbance` scale them.
-    `beyond` adds effects of no catalogue. Manoeuvre k of a seed is flown with the same commands and draws whatever is
-    hidden, unless the flight leaves its envelope: then all are drawn anew, and after the third time `InputError` says
-    that the aircraft cannot be flown so. `seconds` (at most 100) sets the manoeuvres' length; below 90 they break off.
+    `beyond` adds effects of no catalogue. `seconds` (at most 100) sets the manoeuvres' length; below 90 they break off.
     """
-    if noise not in NOISES:
-        raise InputError(f"there is no noise {noise!r}; use one of {', '.join(NOISES)}")
-    if seconds is not None and not 1.0 <= seconds <= demo.LONGEST:
-        raise InputError(f"a simulated manoeuvre of {seconds} s was asked for; ask for 1 to {demo.LONGEST:.0f} s")
-    besides, card = () if beyond is None else beyond.effects, card or read_card("attas")
-    truth = _values(effects, np.random.default_rng([seed, 1]), beyond)
-    setting = _Setting(seed, manoeuvres, noise, rho, card, sensor_noise, disturbance, seconds, besides)
-    failure = InputError("")
-    for attempt in range(3):
-        try:
-            return _flights(effects, truth, [seed, 2, attempt], setting)
-        except InputError as error:
-            failure = error
-    raise failure
+
+    manoeuvres: int = 2
+    noise: str = "ar1"
+    rho: float | None = None
+    card: Card = field(default_factory=lambda: read_card("attas"))
+    sensor_noise: float = 1.0
+    disturbance: float = 1.0
+    beyond: Beyond = NOTHING_BEYOND
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.noise not in NOISES:
+            raise InputError(f"there is no noise {self.noise!r}; use one of {', '.join(NOISES)}")
+        if self.seconds is not None and not 1.0 <= self.seconds <= demo.LONGEST:
+            raise InputError(
+                f"a simulated manoeuvre of {self.seconds} s was asked for; ask for 1 to {demo.LONGEST:.0f} s"
+            )
+
+
+def hidden_records(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[FlightRecord]:
+    """Records alone of `hidden_flights`; `options` are those of `Setting`."""
+    return [flight.record for flight in hidden_flights(effects, seed=seed, **options)]
+
+
+def hidden_flights(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[HiddenFlight]:
+    """Random stall manoeuvres of an aircraft near the demo's, in which `effects` (by name, true values) are hidden.
+
+    `options` are those of `Setting`. Manoeuvre k of a seed is flown with the same commands and draws whatever is
+    hidden, unless the flight leaves its envelope: then all are drawn anew, and after the third time `InputError` says
+    that the aircraft cannot be flown so.
+    """
+    setting = Setting(**options)
+    truth = _values(effects, np.random.default_rng([seed, 1]), setting.beyond)
+    return _first(3, lambda attempt: _flights(effects, truth, [seed, 2, attempt], setting))
+
+
+def _first(attempts: int, make: Callable[[int], T]) -> T:
+    """What the first attempt makes that raises no `InputError`; the error of the last one."""
+    for attempt in range(attempts - 1):
+        with contextlib.suppress(InputError):
+            return make(attempt)
+    return make(attempts - 1)
 
 
 def _flights(
-    effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: _Setting
+    effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: Setting
 ) -> list[HiddenFlight]:
     card = setting.card
-    model, misrecording, propulsion = _models(setting.beyond)
+    model, misrecording, propulsion = _models(setting.beyond.effects)
     aircraft = model.actual_aircraft(values, card.aircraft)
     moved = demo.moved_by(_known(name) for name in effects)
     rngs = [np.random.default_rng([*seed, number]) for number in range(setting.manoeuvres)]
@@ -133,15 +127,14 @@ def _flights(
         pilot = demo.random_pilot(rng, max(90.0, (length - 1) * demo.DT), model.break_angle(values), moved)
         pilots.append(pilot._replace(disturbance=setting.disturbance * disturbance, buffet=buffet))
         alpha, height = float(pilot.alpha[0]), rng.uniform(5050.0, 5350.0)
-        speed = float(np.clip(level_speed(model, values, aircraft, alpha, height, MACH), *BEGIN))
+        speed = float(np.clip(steady.level_speed(model, values, aircraft, alpha, height, MACH), *BEGIN))
         starts.append(FlightState(speed, alpha, alpha, 0.0, height))
     time = demo.flight_time()
     marks = plain_marks(demo.SAMPLES, demo.DT, 0) | {"elapsed": time}  # from the first sample of the record
-    commanded = [{"thrust": pilot.thrust} for pilot in pilots]
-    thrust = [corrected(propulsion, values, x, marks, card.aircraft)["thrust"] for x in commanded]
+    thrust = [corrected(propulsion, values, {"thrust": p.thrust}, marks, card.aircraft)["thrust"] for p in pilots]
     flying = [pilot._replace(thrust=x) for pilot, x in zip(pilots, thrust, strict=True)]
     flights = []
-    for number, everything in enumerate(fly_together(model, values, aircraft, flying, starts, demo.DT)):
+    for number, everything in enumerate(fly(model, values, aircraft, flying, starts, demo.DT)):
         kept = slice(demo.MARGIN, demo.MARGIN + lengths[number])
         flown = {key: x[kept] for key, x in everything.items()}
         if left := ENVELOPE.left_by(excursion(flown)):
@@ -151,18 +144,15 @@ def _flights(
             )
         # a flight that breaks down after what is kept holds its last value: filters would spread NaN
         true = {key: np.where(np.isfinite(everything[key]), everything[key], flown[key][-1]) for key in FLOWN}
-        rec = misrecorded(misrecording, values, true | commanded[number], marks, card.aircraft)
+        true["thrust"] = pilots[number].thrust  # as it is commanded
+        rec = misrecorded(misrecording, values, true, marks, card.aircraft)
         rec = {key: x[kept] for key, x in rec.items()}
         channels = sensed(rngs[number], rec, card, setting.sensor_noise, setting.noise == "outliers")
-        name = f"hidden_{setting.seed}_{number + 1}"
-        flights.append(
-            HiddenFlight(
-                FlightRecord.from_arrays(name, time[kept], channels, "simulated with hidden effects"),
-                {key: flown[key] for key in FLOWN},
-                {key: flown[key] for key in ("CL", "CD", "Cm", "X", "alpha_dot")},
-                {key: float(x) for key, x in values.items()},
-            )
-        )
+        name = f"hidden_{seed[0]}_{number + 1}"
+        record = FlightRecord.from_arrays(name, time[kept], channels, "simulated with hidden effects")
+        built = {key: flown[key] for key in ("CL", "CD", "Cm", "X", "alpha_dot")}
+        truth = {key: float(x) for key, x in values.items()}
+        flights.append(HiddenFlight(record, {key: flown[key] for key in FLOWN}, built, truth))
     return flights
 
 
@@ -173,15 +163,13 @@ def flyable(
 
     Sizes with which the flight leaves its envelope are drawn again from a range half as wide in its logarithm.
     """
-    failure = InputError("")
-    for attempt in range(8):
+
+    def hidden(attempt: int):
         rng = np.random.default_rng([seed, 3, attempt])
         effects = {name: draw_hidden(rng, name, largest ** (0.5**attempt)) for name in names}
-        try:
-            return effects, hidden_flights(effects, seed=seed, **options)
-        except InputError as error:
-            failure = error
-    raise failure
+        return effects, hidden_flights(effects, seed=seed, **options)
+
+    return _first(8, hidden)
 
 
 def draw_hidden(rng: np.random.Generator, name: str, largest: float = 10.0) -> dict[str, float]:
@@ -214,30 +202,27 @@ def _models(beyond: tuple[Effect, ...]) -> tuple[Model, Model, Model]:
     flyable_effects = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]
     channel = [e for e in flyable_effects if e.stage is Stage.CHANNEL]
     return (
-        Model.of([*(e for e in flyable_effects if can_simulate(e)), *beyond]),
+        Model.of([*(e for e in flyable_effects if steady.can_simulate(e)), *beyond]),
         Model.of([e for e in channel if e.kind is not Kind.PROPULSION]),
         Model.of([e for e in channel if e.kind is Kind.PROPULSION]),
     )
 
 
-def _values(
-    effects: Mapping[str, Mapping[str, float]], rng: np.random.Generator, beyond: Beyond | None
-) -> dict[str, Any]:
+def _values(effects: Mapping[str, Mapping[str, float]], rng: np.random.Generator, beyond: Beyond) -> dict[str, Any]:
     """All parameters: neutral, the base aircraft's drawn around the demo's, then what is hidden."""
-    values = {p.name: p.neutral for p in _models(() if beyond is None else beyond.effects)[0].parameters}
+    values = {p.name: p.neutral for p in _models(beyond.effects)[0].parameters}
     for name, x in demo.TRUTH.items():
         values[name] = x * (1.0 + rng.uniform(-1.0, 1.0) * demo.SPREAD.get(name, demo.USUAL_SPREAD))
     for name, given in effects.items():
         effect = _known(name)
-        refuse_unsimulated(effect)
+        steady.refuse_unsimulated(effect)
         if not effect.acts_on(FLOWN_AXES):
             raise InputError(f"the simulated aircraft cannot fly effect {name}: its lateral motion is prescribed")
         names = {p.name for p in effect.parameters}
         if not set(given) <= names:
             raise InputError(f"effect {name} has the parameters {', '.join(sorted(names))}, not {', '.join(given)}")
         values |= given
-    if beyond is not None:
-        values |= beyond.draw(rng)
+    values |= beyond.draw(rng)
     return {name: np.float64(x) for name, x in values.items()}
 
 
@@ -283,9 +268,9 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
     fixed = [e for e in errors if all(p.name in card.fixed for p in e.parameters)]
     installed = [e.name for e in fixed if not e.absent_in(card.fixed)]
     chosen = [known[n] for n in dict.fromkeys((*base, *installed, *request.effects))]
-    axes, signals = (tuple(Axis), SIGNALS | {"aileron"}) if rigid else ((Axis.LONGITUDINAL,), SIGNALS)
+    axes, signals = (tuple(Axis), steady.SIGNALS | {"aileron"}) if rigid else ((Axis.LONGITUDINAL,), steady.SIGNALS)
     for effect in chosen:
-        refuse_unsimulated(effect, signals)
+        steady.refuse_unsimulated(effect, signals)
     flown_model = Model.of([e for e in chosen if e.stage is not Stage.CHANNEL], axes=axes)
     faults = [e for e in chosen if e.stage is Stage.CHANNEL]
     values = {name: x for e in chosen for name, x in e.neutral_values.items()}
@@ -300,12 +285,7 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
     engines = Model.of([e for e in faults if e.kind is Kind.PROPULSION], axes=axes)
     if engines.effects:
         pilot = pilot._replace(thrust=corrected(engines, values, commanded, marks, card.aircraft)["thrust"])
-    if isinstance(start, RigidTrim):
-        flight = fly_rigid(flown_model, values, aircraft, pilot, start, request.dt)
-        flight |= {"aileron_left": -flight["aileron"], "aileron_right": flight["aileron"]}
-    else:
-        flight = fly(flown_model, values, aircraft, pilot, start, request.dt)
-    flight = {key: np.asarray(x) for key, x in flight.items()}
+    (flight,) = fly(flown_model, values, aircraft, [pilot], [start], request.dt)
     if left := WIDER_ENVELOPE.left_by(excursion({key: x[in_record] for key, x in flight.items()})):
         raise InputError(
             f"{request.manoeuvre} with {', '.join(request.effects) or 'no effect'} leaves the envelope: {left}; make "
@@ -342,7 +322,7 @@ def _piloted(
     values: Mapping[str, Any],
     aircraft: Aircraft,
     chosen: Sequence[Effect],
-) -> tuple[Pilot, FlightState | RigidTrim]:
+) -> tuple[Pilot, FlightState | steady.RigidTrim]:
     """What the pilot does and what disturbs him, and the state in which the flight begins."""
     white = rng.standard_normal((len(time), 3))
     rho, sigma = ([demo.DISTURBANCE[f"{x}_{name}"] for name in NAMES] for x in ("rho", "sigma"))
@@ -353,14 +333,14 @@ def _piloted(
         pilot = demo.resampled(drawn, time)
         pilot = pilot._replace(thrust=pilot.thrust * (float(aircraft.mass) / LOADED))
         alpha = float(pilot.alpha[0])
-        airspeed = request.airspeed or level_speed(model, values, aircraft, alpha, request.altitude)
+        airspeed = request.airspeed or steady.level_speed(model, values, aircraft, alpha, request.altitude)
         start = FlightState(airspeed, alpha, alpha, 0.0, request.altitude)
         if Axis.LATERAL in model.axes:
-            start = rigid_trim(model, values, aircraft, Condition(airspeed, request.altitude))
+            start = steady.rigid_trim(model, values, aircraft, steady.Condition(airspeed, request.altitude))
     else:
-        airspeed = request.airspeed or level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
-        given = airspeed, request.altitude, request.amplitude
-        pilots, start = standard_pilots(model, values, aircraft, time, *given)
+        airspeed = request.airspeed or steady.level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
+        level = steady.Condition(airspeed, request.altitude)
+        pilots, start = standard_pilots(model, values, aircraft, time, level, request.amplitude)
         pilot = pilots[request.manoeuvre]
     return pilot._replace(disturbance=increments, buffet=request.buffet), start
 
@@ -428,20 +408,14 @@ class _Correction(eqx.Module):
         true = self.model.corrected(self.values, channels | self.marks, self.aircraft)
         return jnp.stack([true[name] for name in self.names]) / self.scale[:, None]
 
-    @eqx.filter_jit
-    def forward(self, x: Float[Array, "k n"], change: Float[Array, "k n"]) -> Float[Array, "k n"]:
-        """Derivative at `x` times `change`."""
-        return jax.jvp(self, (x,), (change,))[1]
-
-    @eqx.filter_jit
-    def backward(self, x: Float[Array, "k n"], weight: Float[Array, "k n"]) -> Float[Array, "k n"]:
-        """Transposed derivative at `x` times `weight`."""
-        return jax.vjp(self, x)[1](weight)[0]
-
     def derivative(self, x: Float[Array, "k n"]) -> LinearOperator:
         """The derivative at `x`, on vectors."""
-        on = lambda product: lambda v: np.asarray(product(x, jnp.asarray(v.reshape(x.shape)))).ravel()  # noqa: E731
-        return LinearOperator((x.size,) * 2, matvec=on(self.forward), rmatvec=on(self.backward), dtype=np.float64)  # pyright: ignore[reportCallIssue]
+        on = lambda product: lambda v: np.asarray(product(self, x, jnp.asarray(v.reshape(x.shape)))).ravel()  # noqa: E731
+        return LinearOperator((x.size,) * 2, matvec=on(_forward), rmatvec=on(_backward), dtype=np.float64)  # pyright: ignore[reportCallIssue]
+
+
+_forward = eqx.filter_jit(lambda correction, x, change: jax.jvp(correction, (x,), (change,))[1])
+_backward = eqx.filter_jit(lambda correction, x, weight: jax.vjp(correction, x)[1](weight)[0])
 
 
 def corrected(

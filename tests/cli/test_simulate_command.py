@@ -13,7 +13,7 @@ import stranger_six
 from calling import answer, called, refused, succeeded, validated
 
 from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.pilot import commands, lateral_commands
+from bayes_aero.dynamics.pilot import commands
 from bayes_aero.dynamics.trim import Steady, Trim, modes
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
@@ -60,8 +60,7 @@ def test_noise_is_that_of_the_sensors(program, flights):
 def test_every_standard_manoeuvre_can_be_chosen():
     time = np.arange(0.0, 60.0, 0.04)
     trim = Trim(0.1, 2e4, 0.0)
-    longitudinal = commands(time, trim, 0.1, 0.0)
-    known = {*longitudinal, *lateral_commands(time, trim, longitudinal["slow_stall"]), demo.RANDOM_STALL}
+    known = {*commands(time, trim, 0.1, 0.0, lateral=True), demo.RANDOM_STALL}
     assert known == set(demo.MANOEUVRES) == set(get_args(Manoeuvre))
 
 

@@ -128,7 +128,7 @@ def test_trim_is_level_flight_and_commands_begin_there(state):
         pilots = commands(time, trim, 0.15, 0.9, amplitude)
         beside = ("excitation", "phi", "beta", "stabilizer")
         return {
-            name: [pilot.alpha - 0.1, pilot.thrust / 2e4 - 1.0, *(getattr(pilot, x) for x in beside)]
+            name: [pilot.alpha - 0.1, pilot.thrust / 2e4 - 1.0, *(np.atleast_1d(getattr(pilot, x)) for x in beside)]
             for name, pilot in pilots.items()
         }
 

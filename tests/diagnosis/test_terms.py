@@ -21,7 +21,7 @@ from bayes_aero.diagnosis.selection import forward_selection
 from bayes_aero.diagnosis.selection_state import linearised
 from bayes_aero.diagnosis.terms import flown_forms
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.innovations import filter_segments
+from bayes_aero.dynamics.kalman import filter_segments
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.prediction_error import disturbed

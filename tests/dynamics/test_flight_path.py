@@ -72,7 +72,7 @@ def gravity(monkeypatch):
 def fitted(flights, effects, own=(), fixed=None):
     """No priors; the boom's length is given."""
     model = Model.of((*effects, "vane_position"), {"vane_position": BOOM}, tuple(Axis))
-    dynamics = PathDynamics(model, path_states(flights), flights.lengths, own)
+    dynamics = PathDynamics(model, path_states(flights), own, lengths=flights.lengths)
     fit = fit_output_error(segments(flights, dynamics, fixed=fixed), prior_weight=0.0)
     return fit.det_R, *(dict(zip(fit.names, x, strict=True)) for x in (fit.estimate, fit.sd))
 
@@ -140,6 +140,8 @@ def test_biases_of_each_manoeuvre_are_those_published(flights, published):
 
 def test_a_segment_has_its_own_fixed_state(flights):
     model = Model.of(("vane_position",), {"vane_position": BOOM})
-    cut = segments(flights, PathDynamics(model, path_states(flights), flights.lengths), fixed={"airspeed": (1, 2, 3)})
+    cut = segments(
+        flights, PathDynamics(model, path_states(flights), lengths=flights.lengths), fixed={"airspeed": (1, 2, 3)}
+    )
     assert cut.part([2, 0]).fixed == (("airspeed", (3.0, 1.0)),)
     assert replace(cut, fixed=(("airspeed", 2.0),)).part([0]).fixed == (("airspeed", 2.0),)

@@ -13,8 +13,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from bayes_aero.dynamics.aircraft import Longitudinal
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.innovations import neighbour_correlation
-from bayes_aero.dynamics.kalman import discrete_noise
+from bayes_aero.dynamics.kalman import discrete_noise, neighbour_correlation
 from bayes_aero.dynamics.pilot import through_gusts
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import System

@@ -6,8 +6,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.innovations import Disturbances, LinearisedFilter, linear_innovations, noise_derivatives
-from bayes_aero.dynamics.kalman import FilterInputs, discrete_noise, gains, kalman_filter, log_likelihood, smooth
+from bayes_aero.dynamics.kalman import (
+    Disturbances,
+    FilterInputs,
+    LinearisedFilter,
+    discrete_noise,
+    gains,
+    kalman_filter,
+    linear_innovations,
+    log_likelihood,
+    noise_derivatives,
+    smooth,
+)
 from bayes_aero.dynamics.system import LinearSystem, advance, integrate, later
 
 # The extended Kalman filter against another library, finite differences and closed forms

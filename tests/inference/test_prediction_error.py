@@ -25,8 +25,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom, norm
 
 from bayes_aero.dynamics.flight import Dynamics, linear_dynamics
-from bayes_aero.dynamics.innovations import filter_segments, prediction_errors
-from bayes_aero.dynamics.kalman import Filtered, NoisePoint, innovations_density, log_likelihood
+from bayes_aero.dynamics.kalman import Filtered, filter_segments, innovations_density, log_likelihood, prediction_errors
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import System
 from bayes_aero.flight.record import FlightRecord
@@ -458,11 +457,11 @@ class _PendulumDynamics(Dynamics):
     outputs = ("w", "q", "az")
 
     @property
-    def free(self):
+    def unbiased_parameters(self):
         wide = Prior("normal", 1.0, 3.0)
         return tuple(Parameter(name, "1", 0.0, 1.0, "of a pendulum", wide) for name in ("stiff", "damped"))
 
-    def values(self, theta):
+    def unbiased_values(self, theta):
         return {"stiff": theta[0], "damped": theta[1]}
 
     def system(self, values, aircraft):  # noqa: ARG002
@@ -488,8 +487,7 @@ def pendulum():
 
 @eqx.filter_jit
 def both(flown, x):
-    point = NoisePoint(x[:2], x[2:4], x[4:])
-    lean = innovations_density(flown, point, jnp.array([0.1, 0.2]))
+    lean = innovations_density(flown, x[:2], jnp.array([0.1, 0.2]), x[2:4], x[4:])
     found = filter_segments(flown, x[:2], jnp.array([0.1, 0.2]), x[2:4], x[4:])
     return lean, jnp.sum(jax.vmap(log_likelihood)(found))
 
@@ -502,7 +500,7 @@ def test_the_lean_likelihood_is_the_filter_s_and_its_gradient_that_of_difference
         assert float(lean) == pytest.approx(float(whole), rel=1e-10)
     # Of a motion and outputs that bend, and of noise that depends on state and parameters.
     flown = pendulum.nameless
-    value = eqx.filter_jit(lambda x: innovations_density(flown, NoisePoint(x[:2], x[2:4], x[4:]), jnp.ones(2)))
+    value = eqx.filter_jit(lambda x: innovations_density(flown, x[:2], jnp.ones(2), x[2:4], x[4:]))
     x = np.array([4.0, 0.3, 0.05, 0.2, 0.01, 0.01, 0.02])
     gradient = jax.jit(jax.grad(value))(jnp.asarray(x))
     for i in range(len(x)):

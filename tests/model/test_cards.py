@@ -12,7 +12,7 @@ import pytest
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.pilot import INPUTS, FlightState, Plant, fly_standard
+from bayes_aero.dynamics.pilot import FlightState, Plant, fly_standard
 from bayes_aero.dynamics.trim import Condition
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.effects import CATALOGUE
@@ -220,12 +220,22 @@ def own_lag(role):
     )  # fmt: skip
 
 
+PLANT_INPUTS = (
+    "time", "stabilizer", "rudder", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap", "phi", "phi_rate",
+    "phi_acceleration", "beta", "beta_dot", "beta_acceleration", "dCL", "dCD", "dCm",
+)  # fmt: skip
+
+
 def rates(model, card, v):
     """Rates of the state at one instant of a stall."""
     zero = jnp.asarray(0.0)
     plant = Plant(model, v, card.aircraft, (jnp.asarray(0.7), jnp.asarray(0.2), zero), zero)
     state = FlightState(*(jnp.asarray(x) for x in (80.0, 0.26, 0.2, 0.01, 5000.0, 0.4)))
-    inputs = dict.fromkeys(INPUTS, zero) | {"alpha_led": zero + 0.25, "thrust": zero + 9e3, "command": zero + 0.01}
+    inputs = dict.fromkeys(PLANT_INPUTS, zero) | {
+        "led_alpha": zero + 0.25,
+        "thrust": zero + 9e3,
+        "command": zero + 0.01,
+    }
     return FlightState(*plant.motion(jnp.stack(jax.tree.map(jnp.asarray, state)), inputs)[0])
 
 
