@@ -23,11 +23,11 @@ from typing import Literal, TypeVar, get_args
 import pandas as pd
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.diagnose import diagnose as run_diagnosis
+from bayes_aero.diagnosis.diagnose import holdout_scores, view_of
 from bayes_aero.diagnosis.result import DiagnosisView, View
-from bayes_aero.diagnosis.view import holdout_scores, view_of
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from studies import standard_scores
 
-from bayes_aero.diagnosis.candidate_set import DERIVED
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection_state import DERIVED
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

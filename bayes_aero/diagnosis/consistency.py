@@ -13,8 +13,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.fft import next_fast_len
 
-from bayes_aero.diagnosis.accuracy import sizes
-from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model
 from bayes_aero.diagnosis.result import Diagnosis, Size
 from bayes_aero.diagnosis.screening import largest_p_value, screen
 from bayes_aero.diagnosis.selection import (
@@ -26,13 +24,17 @@ from bayes_aero.diagnosis.selection import (
     nats_gained,
     plausible,
     removed,
+    sizes,
     without_hold,
     worth,
 )
 from bayes_aero.diagnosis.selection_state import (
     TINY,
+    CandidateModel,
+    DiagnosisSettings,
     RegressionFit,
     SelectionState,
+    candidate_model,
     inverse,
     linearised,
     moved,

@@ -17,10 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import ENOUGH, CandidateModel, manoeuvres
 from bayes_aero.diagnosis.result import TestPoint
 from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of
-from bayes_aero.diagnosis.selection_state import SelectionState, inverse, linearised
+from bayes_aero.diagnosis.selection_state import ENOUGH, CandidateModel, SelectionState, inverse, linearised, manoeuvres
 from bayes_aero.dynamics.pilot import ANYWHERE, EXCITED_CHANNELS, LATERAL_EXCITED_CHANNELS, fly_standard
 from bayes_aero.dynamics.trim import Condition
 from bayes_aero.effect import Effect, Stage
@@ -33,7 +32,7 @@ from bayes_aero.residuals.base import ResidualModel, flight_path
 from bayes_aero.residuals.equation_error import EquationError
 
 AMPLITUDES, FASTER = (0.5, 1.0, 1.5), (1.0, 1.15)  # of the standard inputs, and of the records' first airspeed
-MOST, LITTLE = 4, 0.5  # test points, and nats from which another is worth flying
+MOST, LEAST_NATS = 4, 0.5  # test points, and nats from which another is worth flying
 NOT_BY_HAND = ("multisine",)  # manoeuvres that need a computer at the controls
 
 
@@ -186,7 +185,7 @@ def best_points(
     while len(points) < MOST and not decided(information):
         present = nats(information)
         gains = [nats(information + chosen.information) - present for chosen in possible]
-        worth = [k for k, gain in enumerate(gains) if gain >= LITTLE]
+        worth = [k for k, gain in enumerate(gains) if gain >= LEAST_NATS]
         if not worth:
             break
         best = max(worth, key=lambda k: gains[k] / possible[k].seconds)
@@ -294,7 +293,7 @@ class Information:
         return apart
 
 
-def columns_of(state: SelectionState, effect: Effect) -> dict[str, int]:
+def columns_by_label(state: SelectionState, effect: Effect) -> dict[str, int]:
     """Columns of an effect by label; of one without slope at neutral, that of its least scanned value."""
     begin = len(state.theta) + state.nuisance
     scans = [(abs(s.value), begin + k, s) for k, s in enumerate(state.scans) if s.effect == effect.name]
@@ -315,7 +314,7 @@ def signals_of(state: SelectionState, chosen: Sequence[Effect], sizes: Mapping[s
             present = state.theta[state.full.columns([least.parameter])[0]]
             signals[effect.name] = {least.parameter: float(least.value - present)}
         else:
-            signals[effect.name] = {label: sizes[label] for label in columns_of(state, effect)}
+            signals[effect.name] = {label: sizes[label] for label in columns_by_label(state, effect)}
     return signals
 
 
@@ -411,7 +410,7 @@ class LinearisedRecord:
         """Of the record, or of its first `seconds`: on the parameters in the state, and on the `chosen` effects."""
         state, noise = self.state, self.noise
         blocks = None if seconds is None else round(seconds / state.responses.seconds)
-        own = {label: column for e in self.chosen for label, column in columns_of(state, e).items()}
+        own = {label: column for e in self.chosen for label, column in columns_by_label(state, e).items()}
         base = list(map(int, state.columns([n for n in state.active if n not in {e.name for e in self.chosen}])))
         parameters = {state.full.model.names[k]: k for k in base if k < len(state.theta)}
         labels = tuple(dict.fromkeys((*sorted(parameters), *own)))

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc, ndtr, ndtri, stdtr
 
-from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.selection_state import (
     TINY,
+    DiagnosisSettings,
     RegressionFit,
     SelectionState,
     inverse,

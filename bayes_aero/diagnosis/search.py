@@ -10,8 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.accuracy import filtered_channels
-from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model, lag_of
 from bayes_aero.diagnosis.components import has_chunks, offsets_left
 from bayes_aero.diagnosis.consistency import check_sensors, widened
 from bayes_aero.diagnosis.result import FLIGHT_PATH, FoundTerm, NoiseReport, ParameterChange, UnexplainedStructure
@@ -20,6 +18,7 @@ from bayes_aero.diagnosis.selection import (
     Extension,
     SelectionStep,
     between_p_value,
+    filtered_channels,
     nats_gained,
     plausible,
     plausible_selection,
@@ -28,9 +27,28 @@ from bayes_aero.diagnosis.selection import (
     sized,
     without_hold,
 )
-from bayes_aero.diagnosis.selection_state import SelectionState, linearised, local_fit, moved, optimum, refitted
-from bayes_aero.diagnosis.terms import Forms, described, flown_forms, forms_of
-from bayes_aero.diagnosis.unexplained import Left, offsets_found, unexplained, withdrawn
+from bayes_aero.diagnosis.selection_state import (
+    CandidateModel,
+    DiagnosisSettings,
+    SelectionState,
+    candidate_model,
+    lag_of,
+    linearised,
+    local_fit,
+    moved,
+    optimum,
+    refitted,
+)
+from bayes_aero.diagnosis.unexplained import (
+    Forms,
+    Left,
+    described,
+    flown_forms,
+    forms_of,
+    offsets_found,
+    unexplained,
+    withdrawn,
+)
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.effect import Effect, Stage

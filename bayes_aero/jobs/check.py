@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.candidate_set import candidate_model, too_short
 from bayes_aero.diagnosis.consistency import KnownErrors, consistency, errors_of_path, screen_sensor_errors
 from bayes_aero.diagnosis.result import CheckReport, SensorCheck
+from bayes_aero.diagnosis.selection_state import candidate_model, too_short
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import Agreement, Consistency, HealthFinding

@@ -13,13 +13,20 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import next_test_points
-from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
+from bayes_aero.diagnosis.diagnose import (
+    causes_in_band,
+    diagnose,
+    judged_on_held_out_flights,
+    sensors_not_missed,
+    view_of,
+    with_holdout_scores,
+    with_stalls,
+)
 from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis, Trajectories, View
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.diagnosis.trajectories import compare_trajectories, with_tested
-from bayes_aero.diagnosis.view import causes_in_band, view_of, with_holdout_scores, with_stalls
 from bayes_aero.dynamics.pilot import ANYWHERE
 from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind

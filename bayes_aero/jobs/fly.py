@@ -15,9 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.diagnosis.consistency import in_gusts, no_flight_path
-from bayes_aero.diagnosis.flights import with_process_noise
 from bayes_aero.diagnosis.result import FITTED, ProcessNoise, Setting, TrajectoryFit
-from bayes_aero.diagnosis.trajectories import fit_disagreements, fit_trajectories, motion_of, still_apart
+from bayes_aero.diagnosis.trajectories import (
+    fit_disagreements,
+    fit_trajectories,
+    motion_of,
+    still_apart,
+    with_process_noise,
+)
 from bayes_aero.dynamics.flight import (
     DERIVED,
     Dynamics,

@@ -9,7 +9,7 @@ import wing_first
 from calling import validated
 from injected_effects import injected
 
-from bayes_aero.diagnosis import candidate_set
+from bayes_aero.diagnosis import selection_state
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
 from bayes_aero.effects import CATALOGUE
@@ -112,7 +112,7 @@ def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
 def test_without_accelerometers_a_bump_is_found_in_flight_and_written(tmp_path, monkeypatch):
     """Of few effects, which compile sooner. The bump of Cm over alpha has a width of 0.03 rad."""
     few = ("thrust_moment", "pitch_rate_lift", "mach_drag", "alpha_bias")
-    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in few})
+    monkeypatch.setattr(selection_state, "CATALOGUE", {name: CATALOGUE[name] for name in few})
     rng = np.random.default_rng([501, 31])
     noise, (coefficient, name, values) = str(rng.choice(["white", "ar1", "buffet"])), unlisted_terms.draw(rng)
     assert (noise, coefficient, name) == ("white", "Cm", "exp")

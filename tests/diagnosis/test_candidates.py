@@ -10,13 +10,18 @@ import pytest
 from lateral_flight import LATERAL_TRUTH, can_simulate, flown, three_axis_card, values
 from parts import fitted_to_stalls
 
-from bayes_aero.diagnosis.accuracy import LeftOut, confirmation, noise_effect, sizes, truncated
-from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, candidate_model
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS
-from bayes_aero.diagnosis.flights import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
 from bayes_aero.diagnosis.screening import screen
-from bayes_aero.diagnosis.selection import explained
-from bayes_aero.diagnosis.selection_state import SelectionState, linearised, refitted
+from bayes_aero.diagnosis.selection import LeftOut, confirmation, explained, noise_effect, sizes, truncated
+from bayes_aero.diagnosis.selection_state import (
+    DEFAULT,
+    CandidateModel,
+    SelectionState,
+    candidate_model,
+    linearised,
+    refitted,
+)
+from bayes_aero.diagnosis.trajectories import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
 from bayes_aero.effect import Kind, sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord

@@ -12,8 +12,6 @@ from parts import part
 from stranger import flown
 from stranger_six import drawn, fly
 
-from bayes_aero.diagnosis.accuracy import filtered_channels, recording_noise
-from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency import (
     LIGHT_TURBULENCE,
     Blocks,
@@ -28,8 +26,8 @@ from bayes_aero.diagnosis.consistency import (
 )
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Size
-from bayes_aero.diagnosis.selection import Extension
-from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState
+from bayes_aero.diagnosis.selection import Extension, filtered_channels, recording_noise
+from bayes_aero.diagnosis.selection_state import CandidateModel, RegressionFit, SelectionState
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import Agreement, Consistency, noise_of

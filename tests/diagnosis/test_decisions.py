@@ -11,14 +11,11 @@ from parts import cause, part, with_candidates
 from scipy.special import erfc
 from scipy.stats import norm
 
-from bayes_aero.diagnosis import accuracy, consistency, result, unexplained
+from bayes_aero.diagnosis import consistency, result, unexplained
 from bayes_aero.diagnosis import diagnose as decided
 from bayes_aero.diagnosis import selection as selecting
-from bayes_aero.diagnosis.accuracy import LeftOut, backward_elimination, implausible
-from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import standard
-from bayes_aero.diagnosis.flights import left_out_of
 from bayes_aero.diagnosis.result import (
     Cause,
     Confirmation,
@@ -31,8 +28,9 @@ from bayes_aero.diagnosis.result import (
 )
 from bayes_aero.diagnosis.screening import ScreeningResult, autocorrelation_of, uncertainty
 from bayes_aero.diagnosis.search import SearchResult
-from bayes_aero.diagnosis.selection import Extension, cancelling
-from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, linearised
+from bayes_aero.diagnosis.selection import Extension, LeftOut, backward_elimination, cancelling, implausible
+from bayes_aero.diagnosis.selection_state import DEFAULT, CandidateModel, RegressionFit, SelectionState, linearised
+from bayes_aero.diagnosis.trajectories import left_out_of
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
@@ -149,12 +147,12 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
     else:
         monkeypatch.setattr(LeftOut, "first_order", lambda state, effects: LeftOut._of(state, left(effects)))
         monkeypatch.setattr(LeftOut, "refitted", lambda told: LeftOut._of(told[0], left(told[1])))
-        monkeypatch.setattr(accuracy, "truncated", lambda state, effects: (state, effects))
+        monkeypatch.setattr(selecting, "truncated", lambda state, effects: (state, effects))
         responses = SimpleNamespace(
             model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), kinematic=compared == "flight path",
             flights=SimpleNamespace(lengths=(100, 100)),
         )  # fmt: skip
-        found = accuracy.confirmation(part(
+        found = selecting.confirmation(part(
             SelectionState, responses=responses, outputs=outputs, folds=(slice(0, 100), slice(100, n)),
             variance_inflation=2.0, active=("rudder_moment",), full=part(CandidateModel, settings=DEFAULT),
             theta=np.zeros(0), S=np.zeros((n, 3, 1)), noise_growth=np.ones((n, 3)),

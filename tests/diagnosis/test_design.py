@@ -12,8 +12,7 @@ from parts import with_candidates
 from stranger_six import Plane
 
 from bayes_aero.diagnosis import design
-from bayes_aero.diagnosis.candidate_set import ENOUGH, CandidateModel
-from bayes_aero.diagnosis.selection_state import linearised
+from bayes_aero.diagnosis.selection_state import ENOUGH, CandidateModel, linearised
 from bayes_aero.dynamics.pilot import commands
 from bayes_aero.dynamics.trim import Trim, trimmed
 from bayes_aero.effects import CATALOGUE

@@ -13,15 +13,13 @@ from stranger import HIDDEN, Recorder, flown
 from stranger_six import Fighter, Plane, drawn, fly
 
 from bayes_aero.diagnosis import search as stages
-from bayes_aero.diagnosis.accuracy import integrated_deviance
-from bayes_aero.diagnosis.candidate_set import DEFAULT, candidate_model, manoeuvres
+from bayes_aero.diagnosis.components import ChangeScan, Span, spans
 from bayes_aero.diagnosis.consistency import Blocks, check_sensors, screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose, rivals_of
 from bayes_aero.diagnosis.result import COEFFICIENTS, TRAJECTORIES, Size, Verdict
 from bayes_aero.diagnosis.search import search_in_stages
-from bayes_aero.diagnosis.selection import noise_shares
-from bayes_aero.diagnosis.selection_state import Products, moved
-from bayes_aero.diagnosis.unexplained import ChangeScan, Span, spans
+from bayes_aero.diagnosis.selection import integrated_deviance, noise_shares
+from bayes_aero.diagnosis.selection_state import DEFAULT, Products, candidate_model, manoeuvres, moved
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record

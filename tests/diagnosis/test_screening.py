@@ -15,10 +15,8 @@ from scipy import stats
 from scipy.linalg import lstsq
 from scipy.signal import lfilter
 
-from bayes_aero.diagnosis import accuracy, diagnose, selection
-from bayes_aero.diagnosis.accuracy import LeftOut
-from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, candidate_model
-from bayes_aero.diagnosis.diagnose import judged_on_held_out_flights
+from bayes_aero.diagnosis import diagnose, selection
+from bayes_aero.diagnosis.diagnose import compared, judged_on_held_out_flights, profiles
 from bayes_aero.diagnosis.result import Absorbed, Confirmation, Size, Verdict, as_absorbed
 from bayes_aero.diagnosis.screening import (
     Autocorrelation,
@@ -31,10 +29,19 @@ from bayes_aero.diagnosis.screening import (
     screen,
     white_noise,
 )
-from bayes_aero.diagnosis.selection import Extension, absorbed, worth
-from bayes_aero.diagnosis.selection_state import Products, RegressionFit, SelectionState, inverse, linearised, refitted
+from bayes_aero.diagnosis.selection import Extension, LeftOut, absorbed, worth
+from bayes_aero.diagnosis.selection_state import (
+    DEFAULT,
+    CandidateModel,
+    Products,
+    RegressionFit,
+    SelectionState,
+    candidate_model,
+    inverse,
+    linearised,
+    refitted,
+)
 from bayes_aero.diagnosis.unexplained import left_beside
-from bayes_aero.diagnosis.view import compared, profiles
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
@@ -419,14 +426,14 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
     with_channels = lambda channels: SimpleNamespace(linearise=linearise(channels["beta"]))
     flights = SimpleNamespace(channels={"beta": beta}, n=n)
     responses = SimpleNamespace(flights=flights, with_channels=with_channels, outputs=("CY",))
-    monkeypatch.setattr(accuracy, "recording_noise", lambda _: {"beta": sd})
+    monkeypatch.setattr(selection, "recording_noise", lambda _: {"beta": sd})
     effect = CATALOGUE["sideslip_side_force"]
     full = part(CandidateModel, candidates=(effect,), model=Model.of([effect], axes=(Axis.LATERAL,)))
     given = {"active": (effect.name,), "full": full, "responses": responses, "outputs": ("CY",)}
     given |= {"theta": np.array([found]), "residual": (y - found * beta)[:, None]}
     state = state_of(beta[:, None, None], (slice(0, n),), **given)
     fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[beta @ beta / left]]), np.array([left]), 0.0)
-    ((low, high),) = accuracy.largest_noise_bias(state, fit).values()
+    ((low, high),) = selection.largest_noise_bias(state, fit).values()
     exact = -left / (found * np.mean(beta**2))
     assert sorted((low, high)) == pytest.approx(sorted((0.0, exact)), rel=0.05, abs=1e-6)
     assert found - high <= slope + 0.01 <= found - low + 0.02 or share < 0.1

@@ -14,12 +14,11 @@ from calling import called
 from gusty_flight import LENGTH, NOISE, TRUTH, gusty_flight
 from parts import without_accelerometers
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.components import QUANTITIES, SEPARATED, library
 from bayes_aero.diagnosis.result import FoundTerm, ProductTerm
 from bayes_aero.diagnosis.selection import forward_selection
-from bayes_aero.diagnosis.selection_state import linearised
-from bayes_aero.diagnosis.terms import flown_forms
+from bayes_aero.diagnosis.selection_state import CandidateModel, linearised
+from bayes_aero.diagnosis.unexplained import flown_forms
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.innovations import filter_segments
 from bayes_aero.dynamics.segments import segments

@@ -16,13 +16,10 @@ from parts import fitted_to_stalls, part, without_accelerometers
 from scipy.stats import norm
 from simulated_halves import halves
 
-from bayes_aero.diagnosis import flights as hold_out
 from bayes_aero.diagnosis import result
 from bayes_aero.diagnosis import search as searches
-from bayes_aero.diagnosis.accuracy import LeftOut
-from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model, lag_of
-from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.flights import fly_given
+from bayes_aero.diagnosis import trajectories as hold_out
+from bayes_aero.diagnosis.diagnose import band_of, causes_in_band, diagnose, with_sensor_errors_held
 from bayes_aero.diagnosis.result import (
     INNOVATIONS,
     LagTest,
@@ -36,17 +33,24 @@ from bayes_aero.diagnosis.result import (
     as_white,
 )
 from bayes_aero.diagnosis.search import in_windows
-from bayes_aero.diagnosis.selection_state import constants_of_manoeuvres
+from bayes_aero.diagnosis.selection import LeftOut
+from bayes_aero.diagnosis.selection_state import (
+    CandidateModel,
+    DiagnosisSettings,
+    candidate_model,
+    constants_of_manoeuvres,
+    lag_of,
+)
 from bayes_aero.diagnosis.trajectories import (
     beyond_noise,
     compare_trajectories,
     fit_disagreements,
     flown_mode,
     flown_modes,
+    fly_given,
     motion_of,
     still_apart,
 )
-from bayes_aero.diagnosis.view import band_of, causes_in_band, with_sensor_errors_held
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.dynamics.trim import Steady

@@ -15,9 +15,21 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import FLIGHT, Envelope
-from bayes_aero.qualification.flights import HoldOut, OpenTest, _Linear, _precision, _shrunk, further_flights
-from bayes_aero.qualification.qualify import BLOCK_SECONDS, Region, Structure, Uncertain, nearest, qualify
-from bayes_aero.qualification.result import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
+from bayes_aero.qualification import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
+from bayes_aero.qualification.qualify import (
+    BLOCK_SECONDS,
+    HoldOut,
+    OpenTest,
+    Region,
+    Structure,
+    Uncertain,
+    _Linear,
+    _precision,
+    _shrunk,
+    further_flights,
+    nearest,
+    qualify,
+)
 from bayes_aero.report.pages.qualification import further_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 

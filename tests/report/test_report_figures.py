@@ -9,9 +9,9 @@ from calling import holds
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from bayes_aero.diagnosis.accuracy import sizes
+from bayes_aero.diagnosis.diagnose import with_stalls
 from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
-from bayes_aero.diagnosis.view import with_stalls
+from bayes_aero.diagnosis.selection import sizes
 from bayes_aero.inference.results import Posterior
 from bayes_aero.inference.validation import pit_of
 from bayes_aero.model.noise import Colour
