@@ -31,8 +31,8 @@ from bayes_aero.diagnosis.selection_state import (
     Component,
     RegressionFit,
     SelectionState,
+    constants_of_manoeuvres,
     inverse,
-    manoeuvre_constants,
     manoeuvres,
     moved,
     moves,
@@ -231,9 +231,8 @@ def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
     left = [c for c in state.outputs if c not in state.apart]
     if len(state.responses.flights.lengths) == 1 or not left or not has_chunks(state):
         return ()
-    folds, constants = chunks(state), manoeuvre_constants
-    manoeuvre = state.responses.manoeuvre
-    components = [Component(c, "manoeuvre", constants(manoeuvre, state.outputs, c)[:, :, 1:]) for c in left]
+    folds, of = chunks(state), (state.full, state.responses.manoeuvre, state.outputs, state.S)
+    components = [Component(c, "manoeuvre", constants_of_manoeuvres(*of, c)[:, :, 1:]) for c in left]
     whole, differing = state.with_components(components, (), folds), []
     for component in components:
         trial = Trial(state, component, (), folds)
@@ -296,7 +295,7 @@ class Trial:
 
     @cached_property
     def fit(self) -> RegressionFit:
-        return self.state.fit_columns(self.wide)
+        return self.state.fit(self.wide)
 
     @cached_property
     def share(self) -> float:
@@ -458,7 +457,7 @@ def sought_change(
     whole = state.with_components((), chosen, folds)
     wider = Trial(state, first[0], chosen, folds).fit
     # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
-    held = whole.fit_columns(whole.columns(), held=wider.variance)
+    held = whole.fit(whole.columns(), held=wider.variance)
     scan, residual = ChangeScan(whole, held, first[1].columns, first[1].over, first[1].noise), whole.left(held)
     at = _leader(scan, scan.estimates(residual))[0]
     component, unit = _change(state, scan, at)

@@ -20,10 +20,11 @@ from bayes_aero.diagnosis.selection import (
     SelectionStep,
     correlated,
     explained,
-    forward_selection,
     nats_gained,
     plausible,
     removed,
+    selected,
+    sized,
     sizes,
     without_hold,
     worth,
@@ -176,18 +177,16 @@ def check_sensors(
     # Where one is larger than sensors have, all is selected again without it; it stays, and corrects nothing, if the
     # others do not explain the record as well.
 
-    def checked(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
-        """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
-        return consistent_across_blocks(*with_several_instead(*consistent_across_blocks(state, fit)))
-
-    def selected(barred: tuple[str, ...]) -> Extension:
+    def without(barred: tuple[str, ...]) -> Extension:
         candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in (*known, *barred))
         own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
         state = linearised(own, responses, responses.outputs, theta)
-        extension = forward_selection(state, seed=seed, checked=checked)
-        return widened(extension, extension.state, extension.fit)
+        extension = selected(state, seed=seed)
+        after, fit = with_several_instead(*consistent_across_blocks(extension.state, extension.fit))
+        after, fit = consistent_across_blocks(after, fit)  # several errors, too, if stretches bear them out
+        return widened(sized(replace(extension, state=after, fit=fit)), after, fit)
 
-    extension = plausible(selected, without_hold)
+    extension = plausible(without, without_hold)
     first = (extension, *extension.larger)[-1]
     return extension if extension is first or nats_gained(first, extension) > -full.settings.decisive else first
 
@@ -327,7 +326,7 @@ def widened(extension: Extension, state: SelectionState, fit: RegressionFit) -> 
         s if s.value is not None else replace(s, sd=tuple(np.maximum(s.sd, judged.deviations(s.effect, len(s.sd)))))
         for s in last.candidate_scores
     )
-    closing = SelectionStep(None, float("nan"), replace(last, candidate_scores=scores), float("nan"))
+    closing = SelectionStep(None, float("nan"), replace(last, candidate_scores=scores))
     causes, minor = worth(state, fit, estimates)
     steps = (*extension.steps, closing)
     return replace(extension, state=state, fit=fit, steps=steps, sizes=estimates, causes=causes, minor=minor)

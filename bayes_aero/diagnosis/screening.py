@@ -80,23 +80,16 @@ def white_noise(
 
 
 class SharedNoise:
-    """`white_noise` of one seed, drawn once for what corrects autocorrelations and for what p-values count."""
+    """`white_noise` of one seed, drawn once: behind what corrects autocorrelations, then behind what p-values count."""
 
     def __init__(self, seed: int, folds: Sequence[slice], outputs: int, settings: DiagnosisSettings) -> None:
-        self._rng = np.random.default_rng(seed)
-        self._of = folds, outputs
-        self._counts = settings.correction_replicates, settings.replicates
-
-    @cached_property
-    def correction(self) -> Float[np.ndarray, "t f r c"]:
-        """Behind the `correction_replicates`."""
-        return white_noise(self._counts[0], *self._of, self._rng)
+        rng = np.random.default_rng(seed)
+        self.correction = white_noise(settings.correction_replicates, folds, outputs, rng)
+        self._rest = lambda: white_noise(settings.replicates, folds, outputs, rng)
 
     @cached_property
     def replicates(self) -> Float[np.ndarray, "t f r c"]:
-        """Behind the `replicates`, which are drawn after the others."""
-        _ = self.correction
-        return white_noise(self._counts[1], *self._of, self._rng)
+        return self._rest()
 
 
 class Middle:
@@ -107,17 +100,14 @@ class Middle:
     def __init__(
         self, S: Float[np.ndarray, "m c k"], variance: np.ndarray, folds: Sequence[slice], places: Sequence[np.ndarray]
     ) -> None:
-        self.width = S.shape[2]
-        self.places = places
-        pieces = [(fold, c) for fold in folds for c in range(S.shape[1])]
-        longest = max(fold.stop - fold.start for fold in folds)
-        self.used, rows = [], []  # columns of a piece that are not all zero
-        for fold, c in pieces:
-            part = S[fold, c]
-            used = np.flatnonzero(np.any(part != 0.0, axis=0))
-            rest = np.zeros((longest - len(part), len(used)))
-            self.used.append(used)
-            rows.append(np.concatenate([rest, part[::-1, used] / variance[c]]))
+        self.width, self.places = S.shape[2], places
+        pieces = [(S[fold, c], c) for fold in folds for c in range(S.shape[1])]
+        longest = max(len(part) for part, _ in pieces)
+        self.used = [np.flatnonzero(np.any(part != 0.0, axis=0)) for part, _ in pieces]  # columns not all zero
+        rows = [
+            np.pad(part[::-1, used] / variance[c], ((longest - len(part), 0), (0, 0)))
+            for (part, c), used in zip(pieces, self.used, strict=True)
+        ]
         self.rows = np.concatenate(rows, axis=1)
         self.output = np.repeat([c for _, c in pieces], [len(used) for used in self.used])
         self.begin = np.cumsum([0, *(len(used) for used in self.used)])
@@ -185,30 +175,33 @@ class PartialledRegression:
     """Candidate columns with the active ones projected out, under the variances of the present fit."""
 
     def __init__(self, state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> None:
-        self.wanted = np.unique(np.concatenate(blocks))
-        self.place = [np.searchsorted(self.wanted, block) for block in blocks]
-        S, base, weight = state.scaled, fit.columns, 1.0 / fit.variance
-        self.inside = state.inside
-        A, B = (np.where(self.inside[:, None, None], S[:, :, own], 0.0) for own in (self.wanted, base))
-        cross = np.einsum("mcb,c,mcj->bj", B, weight, A, optimize=True)
+        self.state, self.fit, self.weight, wanted = state, fit, 1.0 / fit.variance, np.unique(np.concatenate(blocks))
+        self.place = [np.searchsorted(wanted, block) for block in blocks]
+        A, B = (np.where(state.inside[:, None, None], state.scaled[:, :, own], 0.0) for own in (wanted, fit.columns))
+        cross = np.einsum("mcb,c,mcj->bj", B, self.weight, A, optimize=True)
         self.P = A - np.einsum("mcb,bj->mcj", B, inverse(fit.normal) @ cross, optimize=True)
-        self.information = np.einsum("mci,c,mcj->ij", self.P, weight, self.P, optimize=True)
+        self.information = np.einsum("mci,c,mcj->ij", self.P, self.weight, self.P, optimize=True)
         self.bread = [inverse(self.information[np.ix_(place, place)]) for place in self.place]
-        self.weight = weight
-        self.folds = state.folds
         self.middle = Middle(self.P, fit.variance, state.folds, self.place)
 
     def right(self, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r w"]:
         return np.tensordot(residual * self.weight, self.P, 2)
 
+    def estimates(self, residual: Float[np.ndarray, "m c"]) -> list[np.ndarray]:
+        right = self.right(residual)
+        return [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
+
+    def gains(self, right: Float[np.ndarray, "r w"]) -> Float[np.ndarray, "j r"]:
+        """What each block takes away of the weighted squares of r records."""
+        pairs = zip(self.place, self.bread, strict=True)
+        return np.array([np.einsum("ri,ij,rj->r", right[:, p], B, right[:, p], optimize=True) for p, B in pairs])
+
     def scores(
         self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation, stretch: Int[np.ndarray, " m"]
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Estimates and covariances, by colour, or by how far stretches disagree where that is less sure."""
-        right = self.right(residual)
-        whole = self.middle.under_each([colour], range(len(self.place)))[1]
-        estimates = [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
-        covariances = [bread @ meat[0] @ bread for bread, meat in zip(self.bread, whole, strict=True)]
+        whole, estimates = self.middle.under_each([colour], range(len(self.place)))[1], self.estimates(residual)
+        covariances = [bread @ meat @ bread for bread, (meat,) in zip(self.bread, whole, strict=True)]
         for j, (place, bread, estimate) in enumerate(zip(self.place, self.bread, estimates, strict=True)):
             if stretch.max():
                 P = self.P[:, :, place]
@@ -218,24 +211,21 @@ class PartialledRegression:
                     covariances[j] = between
         return estimates, covariances
 
-    def deviance(
-        self, residual: Float[np.ndarray, "m c"], block: int | None = None, estimate: np.ndarray | float = 0.0
-    ) -> float:
+    def deviance(self, residual: Float[np.ndarray, "m c"], block: int = 0, estimate: np.ndarray | None = None) -> float:
         """n log det of the whole covariance of what a block leaves at its first-order estimate."""
         # It stays the same when an output is exchanged for its sum with a share of another; the product of the
         # variances does not.
-        left = residual if block is None else residual - self.P[:, :, self.place[block]] @ estimate
-        left = left[self.inside]
+        left = residual if estimate is None else residual - self.P[:, :, self.place[block]] @ estimate
+        left = left[self.state.inside]
         return float(len(left) * np.linalg.slogdet(left.T @ left / len(left))[1])
 
-    def largest(
-        self, noises: Float[np.ndarray, "r m c"], colours: Sequence[Autocorrelation]
-    ) -> Float[np.ndarray, " r"]:
-        """The largest score that any block reaches in each of r records."""
+    def nulls(self, colour: Autocorrelation, white: Float[np.ndarray, "t f r c"]) -> Float[np.ndarray, " r"]:
+        """The largest score that any block reaches in each noise-only record of this colour."""
+        noises = noise_records(self.state, self.fit, colour, white)
         alone = np.array([place[0] for place in self.place if len(place) == 1], int)
         wide = [j for j, place in enumerate(self.place) if len(place) > 1]
         right = self.right(noises)
-        diagonal, whole = self.middle.under_each(colours, wide)
+        diagonal, whole = self.middle.under_each(autocorrelations_of(noises, self.state.folds), wide)
         # Of a single parameter the information cancels.
         scores = np.abs(right[:, alone]) / np.sqrt(np.maximum(diagonal[:, alone], TINY))
         best = np.max(scores, axis=1, initial=0.0)
@@ -254,9 +244,10 @@ class PartialledRegression:
         blocks: Int[np.ndarray, " m"],
     ) -> Float[np.ndarray, " j"]:
         """Variance inflation along the difference of what each block and block `own` explain (1 for `own`)."""
-        explained = [self.P[:, :, place] @ estimate for place, estimate in zip(self.place, estimates, strict=True)]
-        D = np.stack([part - explained[own] for part in explained], axis=2)
-        return inflation_along(D, self.weight, self.folds, colour, (residual - explained[own], blocks))
+        pairs = zip(self.place, estimates, strict=True)
+        explained = np.stack([self.P[:, :, place] @ estimate for place, estimate in pairs], axis=2)
+        D, left = explained - explained[:, :, [own]], (residual - explained[:, :, own], blocks)
+        return inflation_along(D, self.weight, self.state.folds, colour, left)
 
 
 def inflation_along(
@@ -298,27 +289,23 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
 
 def noise_growth_of(state: SelectionState, fit: RegressionFit) -> Float[np.ndarray, "m c"]:
     """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0; flight-path outputs have none."""
-    coefficients = state.responses.model.coefficients
-    if not set(state.outputs) & set(coefficients):
-        return np.ones_like(state.residual)
-    apart = state.responses.separated(state.theta)
+    growth, own = np.ones_like(state.residual), state.responses.model.coefficients
+    coefficients = [c for c, name in enumerate(state.outputs) if name in own]
+    apart = state.responses.separated(state.theta) if coefficients else np.zeros(1)
+    if np.ptp(apart) < 0.05:
+        return growth
     residual = state.left(fit) * state.noise_growth
     colour = autocorrelation_of(residual, state.folds)
-    noise_growth = np.ones_like(residual)  # b by least squares of |innovation| on 1 - X
-    for c, name in enumerate(state.outputs):
-        if name not in coefficients or np.ptp(apart) < 0.05:
-            continue
-        size, x = [], []
-        for fold in state.folds:
-            r = residual[fold, c]
+    for c in coefficients:  # b by least squares of |innovation| on 1 - X
+        size = []
+        for r in (residual[fold, c] for fold in state.folds):
             past = np.stack([r[ORDER - i : len(r) - i] for i in range(1, ORDER + 1)])
             size.append(np.abs(r[ORDER:] - colour.phi[c] @ past))
-            x.append(apart[fold][ORDER:])
-        innovation = np.concatenate(size)
-        slope, level = np.polyfit(np.concatenate(x), np.minimum(innovation, 10 * np.median(innovation)), 1)
+        x, innovation = np.concatenate([apart[fold][ORDER:] for fold in state.folds]), np.concatenate(size)
+        slope, level = np.polyfit(x, np.minimum(innovation, 10 * np.median(innovation)), 1)
         if level > 0.0:
-            noise_growth[:, c] = 1.0 + max(0.0, slope / level) * apart
-    return noise_growth
+            growth[:, c] = 1.0 + max(0.0, slope / level) * apart
+    return growth
 
 
 # --- Scores of all candidates, and noise-only replicates.
@@ -384,59 +371,47 @@ def screen(
         state = state.without([without])
         fit = state.fit()
     residual, blocks = state.left(fit), [b for b in state.blocks if b[0] not in state.active]
+    colour, stretch = autocorrelation_of(residual, state.folds), state.responses.stretch
     if not blocks:
-        return ScreeningResult((), autocorrelation_of(residual, state.folds), np.zeros(0))
+        return ScreeningResult((), colour, np.zeros(0))
     projected = PartialledRegression(state, fit, [b[1] for b in blocks])
     noise = SharedNoise(seed, state.folds, residual.shape[1], state.settings) if noise is None else noise
-    colour = autocorrelation_of(residual, state.folds)
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = noise_records(state, fit, colour, noise.correction)
     colour = unbiased(colour, autocorrelations_of(drawn, state.folds))
-    estimates, covariances = projected.scores(residual, colour, state.responses.stretch)
+    estimates, covariances = projected.scores(residual, colour, stretch)
     # The deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros.
     columns, dummy, width = state.columns(), state.S.shape[2] - 1, max(len(block[1]) for block in blocks)
     rows = [np.concatenate([columns, own, np.full(width - len(own), dummy)]) for _, own, _ in blocks]
     steps, _, _, deviances = state.products.fit_many(np.array(rows, int), state.mean, state.precision)
-    gains, steps = fit.deviance - deviances, steps[:, len(columns) :]
-    before = projected.deviance(residual)
-    away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[j], default=None)
-    scanned = {scan.effect: state.theta[state.full.columns([scan.parameter])[0]] for scan in reversed(state.scans)}
-    apart = None if away is None else projected.apart(residual, estimates, away, colour, state.responses.stretch)
+    gains, steps, before = fit.deviance - deviances, steps[:, len(columns) :], projected.deviance(residual)
+    scanned, apart = {s.effect: state.theta[state.full.columns([s.parameter])[0]] for s in state.scans}, None
+    if without is not None and without in {b[0] for b in blocks}:
+        away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[j])
+        apart = projected.apart(residual, estimates, away, colour, stretch)
     scores = []
-    for j, (effect, own_columns, value) in enumerate(blocks):
+    for j, (effect, own, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
-        inflation = variance_inflation(variance, np.diag(projected.bread[j]))
-        step, prior = steps[j][: len(own_columns)], state.precision[own_columns] / state.variance_inflation
+        step, prior = steps[j][: len(own)], state.precision[own] / state.variance_inflation
         possible = value is None or bool(step[0] * (value - scanned[effect]) > 0.0)  # to the side on which it was tried
+        score = as_normal(equivalent(estimates[j], covariances[j]), state.responses.freedom)
         scores.append(
             CandidateScore(
                 effect=effect,
-                columns=tuple(int(i) for i in own_columns),
+                columns=tuple(int(i) for i in own),
                 value=value,
                 gain=float(gains[j]) if possible else 0.0,
-                score=as_normal(equivalent(estimates[j], covariances[j]), state.responses.freedom) if possible else 0.0,
-                variance_inflation=float(np.max(inflation)),
-                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own_columns], prior),
+                score=score if possible else 0.0,
+                variance_inflation=float(np.max(variance_inflation(variance, np.diag(projected.bread[j])))),
+                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own], prior),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
                 variance_inflation_apart=math.nan if apart is None else float(apart[j]),
             )
         )
-    largest = null_scores(state, fit, projected, colour, noise) if nulls else np.zeros(0)
+    largest = projected.nulls(colour, noise.replicates) if nulls else np.zeros(0)
     return ScreeningResult(tuple(sorted(scores, key=lambda s: -s.gain)), colour, largest)
-
-
-def null_scores(
-    state: SelectionState,
-    fit: RegressionFit,
-    projected: PartialledRegression,
-    colour: Autocorrelation,
-    noise: SharedNoise,
-) -> Float[np.ndarray, " r"]:
-    """The largest score of any candidate in each noise-only replicate of this colour."""
-    noises = noise_records(state, fit, colour, noise.replicates)
-    return projected.largest(noises, autocorrelations_of(noises, state.folds))
 
 
 def null_shares(
@@ -445,17 +420,13 @@ def null_shares(
     """Largest share of one output's variance that any block of one output explains in each record of such noise."""
     # Both are what is left with the component in whose share is judged: with it out, structure would pass for slow
     # noise, and noise of the other outputs for a share of it.
-    fit, count = state.fit_columns(state.columns(), held=variance), state.settings.unnamed_replicates
+    fit, count = state.fit(held=variance), state.settings.unnamed_replicates
     projected = PartialledRegression(state, fit, [block[1] for block in state.blocks])
     output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
     white = white_noise(count, state.folds, len(colour.sigma), np.random.default_rng(seed))
     noises = noise_records(state, fit, colour, white)
-    total, right = np.sum(noises**2, axis=1) / fit.variance, projected.right(noises)
-    shares = [
-        np.einsum("ri,ij,rj->r", right[:, place], bread, right[:, place], optimize=True) / total[:, c]
-        for place, bread, c in zip(projected.place, projected.bread, output, strict=True)
-    ]
-    return np.max(shares, axis=0)
+    total = np.sum(noises**2, axis=1) / fit.variance
+    return np.max(projected.gains(projected.right(noises)) / total[:, output].T, axis=0)
 
 
 def noise_records(
@@ -535,55 +506,39 @@ def jackknife_p_value(
 # for the best of many candidates. The noise-only replicates make the same choice and pay the same price.
 
 
-class RefitScore:
-    """One candidate's score, log Bayes factor and p-value under its own colour."""
+def refit_p_value(state: SelectionState, standing: CandidateScore, noise: SharedNoise) -> float:
+    """Share of noise-only replicates whose most explaining candidate scores at least as high as this one, each under
+    its own colour; 1 where the score or the Bayes factor is too small."""
+    wider = state.fit(state.wider(standing.columns))
+    fit, blocks = state.fit(held=wider.variance), [b[1] for b in state.blocks if b[0] not in state.active]
+    projected = PartialledRegression(state, fit, blocks)
 
-    def __init__(self, state: SelectionState, standing: CandidateScore, noise: SharedNoise) -> None:
-        wider = state.fit_columns(state.wider(standing.columns))
-        self.state = state
-        self.fit = state.fit_columns(state.columns(), held=wider.variance)
-        blocks = [b[1] for b in state.blocks if b[0] not in state.active]
-        self.projected = PartialledRegression(state, self.fit, blocks)
-        self.noise = noise
-        first = autocorrelation_of(state.left(wider), state.folds)
-        noises = noise_records(state, self.fit, first, noise.correction)
-        self.colour = unbiased(first, self._left(noises, self._leaders(noises)))
-        number = next(j for j, columns in enumerate(blocks) if tuple(columns) == standing.columns)
-        (estimate,), (covariance,) = self._judged(number, state.left(self.fit)[None], [self.colour])
-        self.score = equivalent(estimate, covariance)
-        at = np.array(standing.columns, int)
-        self.log_bayes = log_bayes(estimate, covariance, state.mean[at], state.precision[at] / state.variance_inflation)
+    def leaders(noises: Float[np.ndarray, "r m c"]) -> tuple[np.ndarray, list[Autocorrelation]]:
+        """The candidate that explains most of each noise record, and the colours of what it leaves."""
+        right = projected.right(noises)
+        best, left = np.argmax(projected.gains(right), axis=0), []
+        for j, noise, r in zip(best, noises, right, strict=True):
+            place = projected.place[j]
+            left.append(noise - projected.P[:, :, place] @ (projected.bread[j] @ r[place]))
+        return best, autocorrelations_of(np.array(left), state.folds)
 
-    def p_value(self) -> float:
-        """Share of noise-only replicates whose most explaining candidate scores at least as high."""
-        noises = noise_records(self.state, self.fit, self.colour, self.noise.replicates)
-        leaders = self._leaders(noises)
-        colours, scores = self._left(noises, leaders), np.zeros(len(noises))
-        for j in {j for j, _ in leaders}:
-            at = [k for k, (leader, _) in enumerate(leaders) if leader == j]
-            judged = self._judged(j, noises[at], [colours[k] for k in at])
-            scores[at] = [equivalent(*pair) for pair in zip(*judged, strict=True)]
-        return chance_of(self.score, scores)
+    def judged(j: int, residuals: np.ndarray, colours: Sequence[Autocorrelation]) -> list[tuple]:
+        """Estimates of a candidate in r records and their covariances."""
+        bread, P = projected.bread[j], projected.P[:, :, projected.place[j]]
+        middle = Middle(P, fit.variance, state.folds, [np.arange(P.shape[2])])
+        estimates = np.tensordot(residuals * projected.weight, P, 2) @ bread
+        return list(zip(estimates, bread @ middle.under_each(colours, [0])[1][0] @ bread, strict=True))
 
-    def _leaders(self, noises: Float[np.ndarray, "r m c"]) -> list[tuple[int, Float[np.ndarray, " _"]]]:
-        """The candidate that explains most of each noise record, and its estimate."""
-        right = self.projected.right(noises)
-        pairs = list(zip(self.projected.place, self.projected.bread, strict=True))
-        gains = np.array([np.einsum("ri,ij,rj->r", right[:, p], B, right[:, p], optimize=True) for p, B in pairs])
-        best = np.argmax(gains, axis=0)
-        return [(int(j), pairs[j][1] @ r[pairs[j][0]]) for j, r in zip(best, right, strict=True)]
-
-    def _left(
-        self, noises: Float[np.ndarray, "r m c"], leaders: Sequence[tuple[int, Float[np.ndarray, " _"]]]
-    ) -> list[Autocorrelation]:
-        P, place = self.projected.P, self.projected.place
-        left = [noise - P[:, :, place[j]] @ estimate for noise, (j, estimate) in zip(noises, leaders, strict=True)]
-        return autocorrelations_of(np.array(left), self.state.folds)
-
-    def _judged(
-        self, j: int, residuals: Float[np.ndarray, "r m c"], colours: Sequence[Autocorrelation]
-    ) -> tuple[Float[np.ndarray, "r w"], Float[np.ndarray, "r w w"]]:
-        bread, P = self.projected.bread[j], self.projected.P[:, :, self.projected.place[j]]
-        middle = Middle(P, self.fit.variance, self.state.folds, [np.arange(P.shape[2])])
-        right = np.tensordot(residuals * self.projected.weight, P, 2)
-        return right @ bread, bread @ middle.under_each(colours, [0])[1][0] @ bread
+    first = autocorrelation_of(state.left(wider), state.folds)
+    colour = unbiased(first, leaders(noise_records(state, fit, first, noise.correction))[1])
+    own, at = next(j for j, c in enumerate(blocks) if tuple(c) == standing.columns), np.array(standing.columns, int)
+    ((estimate, covariance),) = judged(own, state.left(fit)[None], [colour])
+    score, prior = equivalent(estimate, covariance), state.precision[at] / state.variance_inflation
+    if score < state.settings.least_score or log_bayes(estimate, covariance, state.mean[at], prior) <= 0.0:
+        return 1.0
+    noises = noise_records(state, fit, colour, noise.replicates)
+    (best, colours), scores = leaders(noises), np.zeros(len(noises))
+    for j in np.unique(best):
+        at = np.flatnonzero(best == j)
+        scores[at] = [equivalent(*pair) for pair in judged(j, noises[at], [colours[k] for k in at])]
+    return chance_of(score, scores)

@@ -500,7 +500,7 @@ def _with_lag(
     if lag.name not in other.state.active or nats_gained(extension, other) <= settings.decisive:
         return None
     p = between_p_value(other.state, other.fit, lag.name, len(among.candidate_scores) + 1)
-    step = SelectionStep(lag.name, p, among, np.nan)
+    step = SelectionStep(lag.name, p, among)
     return replace(other, base=base, base_fit=extension.base_fit, steps=(step, *other.steps))
 
 

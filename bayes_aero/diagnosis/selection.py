@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,14 +17,13 @@ from bayes_aero.diagnosis.result import Absorbed, CancellingPair, Confirmation, 
 from bayes_aero.diagnosis.screening import (
     CandidateScore,
     PartialledRegression,
-    RefitScore,
     ScreeningResult,
     SharedNoise,
     jackknife_errors,
     jackknife_p_value,
     log_bayes,
     noise_growth_of,
-    null_scores,
+    refit_p_value,
     screen,
     uncertainty,
 )
@@ -34,7 +34,6 @@ from bayes_aero.diagnosis.selection_state import (
     RegressionFit,
     SelectionState,
     by_manoeuvre,
-    constant_of,
     inverse,
     local_fit,
     moved,
@@ -51,14 +50,12 @@ from bayes_aero.progress import Progress
 OF_NOISE = 0.5  # largest share of an addition that noise may make: beyond, it would take over its regressor's own slope
 
 
-@dataclass(frozen=True)
-class SelectionStep:
-    """One election: the screening, the chosen effect (None: nobody), its p-value, and its gain on folds left out."""
+class SelectionStep(NamedTuple):
+    """One election: the screening, the chosen effect (None: nobody), and its p-value."""
 
     chosen: str | None
     p_value: float
     screening: ScreeningResult
-    unseen: float
 
 
 @dataclass(frozen=True)
@@ -87,24 +84,6 @@ class Extension:
         return () if self.too_large is None else (self.too_large, *self.too_large.larger)
 
 
-Checked = Callable[[SelectionState, RegressionFit], tuple[SelectionState, RegressionFit]]
-
-
-def forward_selection(
-    state: SelectionState,
-    *,
-    seed: int = 0,
-    progress: Progress | None = None,
-    most: int | None = None,
-    checked: Checked = lambda state, fit: (state, fit),
-    barred: Sequence[str] = (),
-) -> Extension:
-    """Add effects to `state` until none is both beyond chance and useful on data left out, and size them."""
-    extension = selected(state, seed=seed, most=most, progress=progress, barred=barred)
-    after, fit = checked(extension.state, extension.fit)
-    return sized(replace(extension, state=after, fit=fit))
-
-
 def plausible(
     select: Callable[[tuple[str, ...]], Extension],
     out: Callable[[Extension], Iterable[str]] = lambda extension: extension.implausible,
@@ -120,11 +99,15 @@ def plausible(
         barred, before = (*barred, *out(extension)), extension
 
 
-def plausible_selection(
-    state: SelectionState, *, seed: int = 0, progress: Progress | None = None, most: int | None = None
-) -> Extension:
+def forward_selection(state: SelectionState, **options: Any) -> Extension:
+    """Add effects to `state` until none is both beyond chance and useful on data left out, and size them; `options` as
+    of `selected`."""
+    return sized(selected(state, **options))
+
+
+def plausible_selection(state: SelectionState, **options: Any) -> Extension:
     """`forward_selection` of what is no larger than aircraft have."""
-    return plausible(lambda barred: forward_selection(state, seed=seed, progress=progress, most=most, barred=barred))
+    return plausible(lambda barred: forward_selection(state, barred=barred, **options))
 
 
 def selected(
@@ -138,10 +121,9 @@ def selected(
     """Add at most `most` effects (default: the settings') that are not `barred`; p-values are family-wise."""
     most = state.settings.max_effects if most is None else most
     state, fit = refitted(state)
-    inflations = [s.variance_inflation for s in screen(state, fit).candidate_scores]
-    noise_growth, inflation = noise_growth_of(state, fit), median_inflation(np.array(inflations))
-    state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=inflation), state.theta))
-    first, first_fit = state, fit
+    inflation = median_inflation(np.array([s.variance_inflation for s in screen(state, fit).candidate_scores]))
+    state = replace(state, noise_growth=noise_growth_of(state, fit), variance_inflation=inflation)
+    first, first_fit = state, fit = refitted(moved(state, state.theta))
     steps: list[SelectionStep] = []
     noisy: tuple[str, ...] = ()
     for number in range(most + state.settings.candidates_tried):
@@ -161,7 +143,7 @@ def selected(
             break
         wider, wider_fit = refitted(added(state, winner))
         if noise_shares(wider, wider_fit)[winner.effect] > OF_NOISE:
-            noisy, steps[-1] = (*noisy, winner.effect), replace(step, chosen=None)
+            noisy, steps[-1] = (*noisy, winner.effect), step._replace(chosen=None)
             continue
         state, fit = _reconsidered(wider, wider_fit, barred)
         noisy = ()  # with less left, noise can make less
@@ -183,7 +165,7 @@ def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: Candidat
     else:  # in flight all whose constant the card has; none along the flight path
         card = {p for e in state.full.base for p in state.full.parameters_of(e)} & set(state.full.model.names)
         coefficients = () if state.responses.kinematic else state.responses.model.coefficients
-        reached = [n for n in coefficients if constant_of(n) in card]
+        reached = [n for n in coefficients if f"{n}0" in card]
     outputs = tuple(n for n in reached if n not in state.apart)
     count = len(state.responses.flights.lengths)
     if count == 1 or not outputs:
@@ -224,47 +206,35 @@ def _election(
     state: SelectionState, fit: RegressionFit, seed: int, barred: Sequence[str], first: bool
 ) -> SelectionStep:
     """The most explaining candidate, not `barred`, that is beyond chance, matters, and predicts folds left out."""
-    settings = state.settings
-    noise = SharedNoise(seed, state.folds, len(state.outputs), settings)
-    screening = screen(state, fit, seed=seed, nulls=first, noise=noise)
-    able: list[tuple[CandidateScore, float]] = []
-    seen = set(barred)
-    for standing in screening.candidate_scores:
-        if standing.effect in seen:
-            continue
-        seen.add(standing.effect)
-        if len(seen) > settings.candidates_tried + len(barred):
-            break
+    settings, noise = state.settings, SharedNoise(seed, state.folds, len(state.outputs), state.settings)
+    screening, able = screen(state, fit, nulls=first, noise=noise), list[CandidateScore]()
+    leaders: dict[str, CandidateScore] = {}
+    for standing in (s for s in screening.candidate_scores if s.effect not in barred):
+        leaders.setdefault(standing.effect, standing)
+    for standing in list(leaders.values())[: settings.candidates_tried]:
         if explained(state, standing) < state.least_share(settings.least_share) or mixes_noise(state, standing):
             continue
-        gain = addition_gain(state, state.wider(standing.columns))
-        if not gain > 0.0:
+        if not addition_gain(state, state.wider(standing.columns)) > 0.0:
             continue
-        able.append((standing, gain))
+        able.append(standing)
         if standing.score < settings.least_score or standing.log_bayes <= 0.0:
             continue
         if not len(screening.nulls):
             projected = PartialledRegression(state, fit, [b[1] for b in state.blocks if b[0] not in state.active])
-            screening = replace(screening, nulls=null_scores(state, fit, projected, screening.colour, noise))
-        p = screening.p_value(standing.score)
-        if p <= settings.false_alarm_rate:
-            return SelectionStep(standing.effect, p, screening, gain)
-    if state.responses.freedom:  # no stationary colour holds, with a leader in or out
-        for standing, gain in able[: settings.candidates_refitted]:
-            wider = refitted(added(state, standing))
-            p = between_p_value(*wider, standing.effect, len(screening.candidate_scores))
-            if p <= settings.refit_false_alarm_rate:
-                return SelectionStep(standing.effect, p, screening, gain)
-        able = []
-    for standing, gain in able:
-        look = RefitScore(state, standing, noise)
-        if look.score < settings.least_score or look.log_bayes <= 0.0:
-            continue
-        if (p := look.p_value()) <= settings.false_alarm_rate:
-            return SelectionStep(standing.effect, p, screening, gain)
+            screening = replace(screening, nulls=projected.nulls(screening.colour, noise.replicates))
+        if (p := screening.p_value(standing.score)) <= settings.false_alarm_rate:
+            return SelectionStep(standing.effect, p, screening)
+    among, alone = len(screening.candidate_scores), not state.responses.freedom
+    for standing in able if alone else able[: settings.candidates_refitted]:
+        if alone:
+            p, limit = refit_p_value(state, standing, noise), settings.false_alarm_rate
+        else:  # no stationary colour holds, with a leader in or out
+            p = between_p_value(*refitted(added(state, standing)), standing.effect, among)
+            limit = settings.refit_false_alarm_rate
+        if p <= limit:
+            return SelectionStep(standing.effect, p, screening)
     highest = max((s.score for s in screening.candidate_scores if s.effect not in barred), default=0.0)
-    p = screening.p_value(highest) if len(screening.nulls) else math.nan
-    return SelectionStep(None, p, screening, math.nan)
+    return SelectionStep(None, screening.p_value(highest) if len(screening.nulls) else math.nan, screening)
 
 
 def between_p_value(wider: SelectionState, fit: RegressionFit, effect: str, among: int) -> float:
@@ -314,12 +284,22 @@ def _reconsidered(
 ) -> tuple[SelectionState, RegressionFit]:
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
     least = state.least_share(state.settings.least_share)
+
+    def bayes_within(own: CandidateScore) -> float:
+        """Log Bayes factor of an addition under the colour that is left with it in."""
+        columns = state.full.own_columns(own.effect)
+        away = state.departure[columns]
+        if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
+            return own.log_bayes
+        at, precision = fit.places(columns), state.precision[columns] / state.variance_inflation
+        return log_bayes(away, uncertainty(state, fit)[np.ix_(at, at)], state.mean[columns] + away, precision)
+
     for effect in state.active[:-1]:
         ranking = screen(state, fit, without=effect)
         own = ranking.of(effect)
         able = (s for s in ranking.candidate_scores if s.effect not in barred and not mixes_noise(state, s))
         best = next(able, ranking.candidate_scores[0])
-        faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
+        faint = own is not None and own.log_bayes < 0.0 and bayes_within(own) < 0.0
         if own is None or faint or explained(state, own) < least or mixes_noise(state, own):
             state, fit = refitted(removed(state, effect))
         elif best.effect != effect:
@@ -331,38 +311,25 @@ def _reconsidered(
     return state, fit
 
 
-def _bayes_within(state: SelectionState, fit: RegressionFit, own: CandidateScore) -> float:
-    """Log Bayes factor of an addition under the colour that is left with it in."""
-    columns = state.full.own_columns(own.effect)
-    away = state.departure[columns]
-    if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
-        return own.log_bayes
-    at = fit.places(columns)
-    covariance = uncertainty(state, fit)[np.ix_(at, at)]
-    return log_bayes(away, covariance, state.mean[columns] + away, state.precision[columns] / state.variance_inflation)
-
-
 def worth(
     state: SelectionState, fit: RegressionFit, estimates: Mapping[str, Size]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Additions large enough to be worth modelling, and nuisances: small, uncertain, or perhaps noise."""
-    added = {e.name: e for e in state.full.candidates if e.name in state.active}
-
-    def least_away(parameter: Parameter, bias: tuple[float, float]) -> tuple[float, float]:
-        """How far a parameter is from neutral with whichever bias brings it nearest, and its deviation."""
-        size = estimates[parameter.name]
-        ends = [parameter.away(size.mean - b, size.sd) for b in (*bias, 0.0)]
-        passes = min(away for away, _ in ends) * max(away for away, _ in ends) <= 0.0
-        nearest = min(ends, key=lambda end: abs(end[0]))
-        return (0.0, nearest[1]) if passes else nearest
+    added = [e for name in state.active for e in state.full.candidates if e.name == name]
 
     def large_ones(bias: Mapping[str, tuple[float, float]]) -> list[str]:
+        """Those far from neutral with whichever bias brings them nearest."""
         chosen = []
-        for name in state.active:
-            sized = [p for p in added[name].parameters if p.name in added[name].sizes and p.name in estimates]
-            away = {p.name: least_away(p, bias.get(p.name, (0.0, 0.0))) for p in sized}
-            if large(added[name], away, state.settings.least_score):
-                chosen.append(name)
+        for effect in added:
+            away = {}
+            for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in estimates):
+                size = estimates[p.name]
+                ends = [p.away(size.mean - b, size.sd) for b in (*bias.get(p.name, ()), 0.0)]
+                passes = min(x for x, _ in ends) * max(x for x, _ in ends) <= 0.0
+                x, sd = min(ends, key=lambda end: abs(end[0]))
+                away[p.name] = (0.0 if passes else x), sd
+            if large(effect, away, state.settings.least_score):
+                chosen.append(effect.name)
         return chosen
 
     causes = large_ones(largest_noise_bias(state, fit)) if large_ones({}) else []
@@ -420,45 +387,39 @@ def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
 
 def _taken_up(extension: Extension, column: int) -> dict[str, Size]:
     """Sizes of the candidates that the parameter of a column hides, by name."""
-    state, fit = extension.state, extension.fit
+    state, fit, scale = extension.state, extension.fit, extension.state.settings.least_score
     fewer, hidden = fit.columns[fit.columns != column], {}
+    S, weight = state.scaled[state.inside], 1.0 / fit.variance
 
     def deviations(at: int, size: float, columns: Int[np.ndarray, " k"]) -> float:
         """By how many an effect of this size is seen, `columns` free within their priors."""
-        A, weight = state.scaled[state.inside][:, :, columns], 1.0 / fit.variance
-        signal = size * state.scaled[state.inside][:, :, at]
+        A, signal = S[:, :, columns], size * S[:, :, at]
         normal = np.einsum("mci,c,mcj->ij", A, weight, A, optimize=True) + np.diag(state.precision[columns])
         right = np.einsum("mci,c,mc->i", A, weight, signal, optimize=True)
         information = float(np.einsum("mc,c,mc->", signal, weight, signal) - right @ inverse(normal) @ right)
         return float(np.sqrt(max(information, 0.0) / state.variance_inflation))
 
-    scanned = {scan.effect for scan in state.scans}
+    def size_of(at: int) -> tuple[float, float]:
+        """Of a candidate and its deviation, the parameter of `column` held where its prior has it."""
+        columns, away = np.append(fewer, at), float(state.mean[column])
+        given = columns, state.mean, state.precision, fit.variance
+        there, here = (
+            state.products.shifted(np.array([column]), np.array([away])).fit(*given),
+            state.products.fit(*given),
+        )
+        slope = (there.step[-1] - here.step[-1]) / away if away else 0.0
+        variance = inverse(there.normal)[-1, -1] + slope**2 / state.precision[column]
+        return float(there.step[-1]), float(np.sqrt(state.variance_inflation * variance))
+
     for effect in state.full.candidates:  # those of one parameter, with a slope at neutral, and a size worth a name
-        if len(effect.parameters) != 1 or effect.name in (*state.active, *scanned):
-            continue
-        (parameter,) = effect.parameters
-        if parameter.name not in effect.sizes:
-            continue
-        (at,) = state.full.own_columns(effect.name)
-        least, largest = effect.sizes[parameter.name]
-        if not deviations(at, least, fit.columns) < state.settings.least_score <= deviations(at, least, fewer):
-            continue
-        mean, sd = _size(extension, column, int(at), fewer)
-        if least <= abs(mean) <= largest:
-            hidden[effect.name] = Size(mean, sd, parameter.unit)
+        out = {*state.active, *(scan.effect for scan in state.scans)}
+        if len(effect.parameters) == 1 and effect.name not in out and effect.parameters[0].name in effect.sizes:
+            (at,), (least, largest) = state.full.own_columns(effect.name), effect.sizes[effect.parameters[0].name]
+            if deviations(at, least, fit.columns) < scale <= deviations(at, least, fewer):
+                mean, sd = size_of(int(at))
+                if least <= abs(mean) <= largest:
+                    hidden[effect.name] = Size(mean, sd, effect.parameters[0].unit)
     return hidden
-
-
-def _size(extension: Extension, column: int, at: int, fewer: Int[np.ndarray, " k"]) -> tuple[float, float]:
-    """Size of a candidate and its deviation, the parameter of `column` held where its prior has it."""
-    state, columns = extension.state, np.append(fewer, at)
-    away = float(state.mean[column])
-    products = state.products.shifted(np.array([column]), np.array([away]))
-    fit = products.fit(columns, state.mean, state.precision, held=extension.fit.variance)
-    here = state.products.fit(columns, state.mean, state.precision, held=extension.fit.variance)
-    slope = (fit.step[-1] - here.step[-1]) / away if away else 0.0
-    variance = inverse(fit.normal)[-1, -1] + slope**2 / state.precision[column]
-    return float(fit.step[-1]), float(np.sqrt(state.variance_inflation * variance))
 
 
 # --- Two named terms that cancel: what the record knows of them is one combination, not either.
@@ -498,8 +459,8 @@ def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[s
 def without_hold(extension: Extension) -> dict[str, Mapping[str, float]]:
     """Additions that are no error by themselves: too large, at a bound, or estimated together with such a one."""
     state, joint = extension.state, correlated(extension, extension.state.active)
-    out = {n for n in state.active if any(extension.sizes[p].at_bound for p in state.full.parameters_of(n))}
-    out |= set(extension.implausible)
+    bounded = [n for n in state.active if any(extension.sizes[p].at_bound for p in state.full.parameters_of(n))]
+    out = {*bounded, *extension.implausible}
     return {n: joint.get(n, {}) for n in state.active if n in out or out & set(joint.get(n, {}))}
 
 
@@ -576,28 +537,22 @@ def filtered_channels(flights: Flights) -> tuple[str, ...]:
 
 def noise_effect(state: SelectionState, fit: RegressionFit) -> tuple[Float[np.ndarray, " k"], ...]:
     """What recording noise does to each estimate of a fit at its optimum: its bias, and its standard deviation."""
-    flights = state.responses.flights
-    noise, rng = recording_noise(flights), np.random.default_rng(0)
-    parameters = fit.columns < len(state.theta)
+    flights, rng = state.responses.flights, np.random.default_rng(0)
+    noise, parameters = recording_noise(flights), fit.columns < len(state.theta)
     at = fit.columns[parameters]
 
-    def step(extra: dict[str, np.ndarray], sign: float) -> np.ndarray:
+    def step(extra: Mapping[str, np.ndarray], sign: float = 1.0) -> np.ndarray:
         """The Gauss-Newton step from the optimum with more noise."""
         channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
         there = replace(state, responses=state.responses.with_channels(channels))
         # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
-        fitted = local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0]
-        return fitted.step[: len(at)]
+        return local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0].step[: len(at)]
 
-    even, odd = [], []
-    for _ in range(PAIRS):
-        extra = {name: sd * rng.standard_normal(flights.n) for name, sd in noise.items()}
-        there, back = step(extra, 1.0), step(extra, -1.0)
-        even.append((there + back) / 2.0)
-        odd.append((there - back) / 2.0)
+    drawn = ({name: sd * rng.standard_normal(flights.n) for name, sd in noise.items()} for _ in range(PAIRS))
+    there, back = np.array([(step(extra), step(extra, -1.0)) for extra in drawn]).transpose(1, 0, 2)
     bias, spread = np.zeros((2, len(fit.columns)))
-    bias[parameters] = np.mean(even, axis=0) - step({}, 0.0)
-    spread[parameters] = np.sqrt(np.mean(np.square(odd), axis=0))
+    bias[parameters] = np.mean((there + back) / 2.0, axis=0) - step({})
+    spread[parameters] = np.sqrt(np.mean(((there - back) / 2.0) ** 2, axis=0))
     return bias, spread
 
 
@@ -700,11 +655,8 @@ class LeftOut:
     @classmethod
     def refitted(cls, state: SelectionState) -> LeftOut:
         """With the effects that are in, every fit brought to its own optimum."""
-
-        def fitted(others: list[int]) -> np.ndarray:
-            return optimum(state, others, state.settings.hold_out_steps)
-
-        residual = state.responses.holdout(state.folds, fitted, state.outputs)
+        steps = state.settings.hold_out_steps
+        residual = state.responses.holdout(state.folds, lambda others: optimum(state, others, steps), state.outputs)
         return cls._of(state, residual)
 
     @classmethod
@@ -720,8 +672,7 @@ class LeftOut:
 
     @classmethod
     def _of(cls, state: SelectionState, residual: Float[np.ndarray, "m c"]) -> LeftOut:
-        residual = np.where(state.inside[:, None], residual, 0.0)
-        offsets = state.S[:, :, state.offsets]
+        residual, offsets = np.where(state.inside[:, None], residual, 0.0), state.S[:, :, state.offsets]
         if offsets.shape[2]:  # where a flight-path integral began is the left-out fold's own to find
             residual -= offsets @ (np.einsum("mco,mc->o", offsets, residual) / np.sum(offsets**2, axis=(0, 1)))
         lengths = [fold.stop - fold.start for fold in state.folds]
@@ -729,9 +680,6 @@ class LeftOut:
             lengths = [sum(lengths)]
         growth, inflation, by_output = state.noise_growth, state.variance_inflation, not state.responses.kinematic
         return cls(residual, growth, state.inside, state.outputs, lengths, inflation, by_output)
-
-    def density(self) -> Float[np.ndarray, " m"]:
-        return self.densities().sum(axis=1)
 
     def densities(self) -> Float[np.ndarray, "m c"]:
         """Log predictive density of every row by output: independent and normal."""
@@ -741,7 +689,8 @@ class LeftOut:
         return log_density(residual, np.mean((residual / noise_growth) ** 2, axis=0) * noise_growth**2)
 
     def gain(self, before: LeftOut) -> tuple[float, float]:
-        return log_score_gain(before.density(), self.density(), self.variance_inflation, self.lengths)
+        densities = before.densities().sum(axis=1), self.densities().sum(axis=1)
+        return log_score_gain(*densities, self.variance_inflation, self.lengths)
 
     def output_gains(self, before: LeftOut) -> dict[str, tuple[float, float]]:
         """`gain` of each output by itself; empty where that says nothing."""
@@ -779,16 +728,16 @@ def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.nd
         used = np.unique(np.concatenate([columns, state.offsets]))
         products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
         columns, offsets = (np.searchsorted(used, own) for own in (columns, state.offsets))
-        parameters, deviances = ~np.isin(columns, offsets), []
+        parameters, flat, total = ~np.isin(columns, offsets), np.zeros(len(used)), 0.0
         for fold in range(len(state.folds)):
             step = products.without(fold).fit(columns, mean, precision).step
             left = products.over([fold]).shifted(columns[parameters], step[parameters])
-            n = float(left.count.sum())
             if len(offsets):
-                deviances.append(left.fit(offsets, np.zeros_like(mean), np.zeros_like(mean)).deviance)
+                total += left.fit(offsets, flat, flat).deviance
             else:
-                deviances.append(float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n))))
-        return float(np.sum(deviances))
+                n = float(left.count.sum())
+                total += float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
+        return total
 
     return deviance(state.columns() if narrow is None else narrow) - deviance(wide)
 
@@ -800,30 +749,28 @@ def addition_gain(state: SelectionState, wide: np.ndarray) -> float:
     if gain > 0.0 or not of_card or len(state.responses.flights.lengths) < 2:
         return gain
     used = np.unique(np.concatenate([wide, state.columns(), card]))
-    products, prior = state.products.only(used), (state.mean[used], state.precision[used])
     everything, active, card = (np.searchsorted(used, columns) for columns in (wide, state.columns(), card))
-
-    def deviance(fold: int, columns: np.ndarray) -> float:
-        return integrated_deviance(products, fold, (columns, card), prior, state.variance_inflation)
-
-    return float(np.sum([deviance(fold, active) - deviance(fold, everything) for fold in range(len(state.folds))]))
+    of = state.products.only(used), (state.mean[used], state.precision[used]), state.variance_inflation
+    deviances = [
+        [integrated_deviance(*of, fold, c, card) for c in (active, everything)] for fold in range(len(state.folds))
+    ]
+    return float(np.sum([without - within for without, within in deviances]))
 
 
 def integrated_deviance(
     products: Products,
-    fold: int,
-    columns: tuple[np.ndarray, np.ndarray],
     prior: tuple[np.ndarray, np.ndarray],
     inflation: float,
+    fold: int,
+    columns: np.ndarray,
+    card: np.ndarray,
 ) -> float:
-    """Deviance of a fold, the additions integrated out over their posterior from the other folds."""
-    everything, card = columns
-    others = products.without(fold).fit(everything, *prior)
-    at = np.flatnonzero(~np.isin(everything, card))
+    """Deviance of a fold by these columns, those beyond the card's integrated out over their posterior from the rest."""
+    others, at = products.without(fold).fit(columns, *prior), np.flatnonzero(~np.isin(columns, card))
     precision_elsewhere = 1.0 / np.diag(inverse(others.normal))[at]
     mean, precision = (x.copy() for x in prior)
-    mean[everything[at]], precision[everything[at]] = others.step[at], precision_elsewhere
-    posterior = products.over([fold]).fit(everything, mean, precision)
+    mean[columns[at]], precision[columns[at]] = others.step[at], precision_elsewhere
+    posterior = products.over([fold]).fit(columns, mean, precision)
     narrowed = 1.0 / np.diag(inverse(posterior.normal))[at] / precision_elsewhere
     return posterior.deviance + inflation * float(np.sum(np.log(np.maximum(narrowed, 1.0))))
 
@@ -847,27 +794,23 @@ def backward_elimination(
     def gain(without: LeftOut, whole: LeftOut) -> tuple[float, float]:
         return whole.gain(without) if without.flyable else (np.inf, 0.0)
 
-    def less(effects: Sequence[str], gone: str) -> list[str]:
-        return [e for e in effects if e != gone]
-
-    plain = settings.hold_out_first_order
-    kept, missed, waiting = list(additions), {}, list(additions)
+    plain, kept, missed, waiting = settings.hold_out_first_order, list(additions), {}, list(additions)
     harmed: dict[str, Mapping[str, tuple[float, float]]] = {}
     whole: LeftOut | None = None
     while waiting:
-        near, fewer = first_order(kept), {e: first_order(less(kept, e)) for e in waiting}
+        less = {e: [other for other in kept if other != e] for e in waiting}
+        near, fewer = first_order(kept), {e: first_order(less[e]) for e in waiting}
         losses = {e: gain(fewer[e], near) for e in waiting}
         harmful = [e for e in waiting if settings.degraded(near.output_gains(fewer[e]))]
         least = min(harmful or waiting, key=lambda e: losses[e][0] - plain * losses[e][1])
         if not harmful and losses[least][0] > plain * losses[least][1]:
             missed |= losses
             break
-        whole = whole or refitted(kept)
-        without = refitted(less(kept, least))
+        whole, without = whole or refitted(kept), refitted(less[least])
         missed[least] = gain(without, whole)
         worse = settings.degraded(whole.output_gains(without))
         if worse or not missed[least][0] > settings.hold_out * missed[least][1]:
-            kept, whole = less(kept, least), without
+            kept, whole = less[least], without
             harmed |= {least: worse} if worse else {}
         waiting.remove(least)
     return Confirmation(tuple(kept), {e: missed[e] for e in additions}, harmed)

@@ -199,7 +199,7 @@ def candidate_model(
     for effect in (*absent, *others):
         missing = [c for c in effect.channels if c not in have]
         still = [c for c in effect.channels if c in flights.channels and not moves(flights.channels[c], flights)]
-        if still and not missing and effect.together and _varies(_made(effect, flights, {}), flights):
+        if still and not missing and effect.together and _makes(effect, flights, {}):
             still = []
         lacking, waiting = [name for name in effect.uses if name not in owned], False
         proposed = effect.candidate and effect.acts_on(model.axes)
@@ -208,8 +208,8 @@ def candidate_model(
         if missing:
             not_testable[effect.name] = Untestable.of(Untestable.NOT_RECORDED, missing)
         elif still and effect.stage > Stage.AIRCRAFT:
-            label = any(_moves(np.asarray(flights.channels[c])) for c in still)
-            why = "channel {} differs only between manoeuvres, as an offset does" if label else Untestable.STILL
+            offset = any(moves(flights.channels[c], replace(flights, lengths=(flights.n,))) for c in still)
+            why = "channel {} differs only between manoeuvres, as an offset does" if offset else Untestable.STILL
             not_testable[effect.name] = Untestable.of(why, still)
             waiting = True
         elif noisy := _rests_on(noise, effect, flights):
@@ -224,11 +224,8 @@ def candidate_model(
         if waiting and not lacking and effect.parameters and effect not in absent:
             idle.append(effect)  # it stays in the compiled model, so that records do not differ by it
     # Effects without parameters are nothing until an effect that they rest on wakes them (Kirchhoff's lift, X).
-    dormant = [
-        e
-        for e in CATALOGUE.values()
-        if not e.parameters and e not in active and e.acts_on(model.axes) and all(name in owned for name in e.uses)
-    ]
+    asleep = (e for e in CATALOGUE.values() if not e.parameters and e not in active and e.acts_on(model.axes))
+    dormant = [e for e in asleep if all(name in owned for name in e.uses)]
     everything = (*active, *dormant, *candidates, *idle)
     parameters = tuple(changed.get(p.name, per_length(p, model.lengths)) for e in everything for p in e.parameters)
     held = {p.name for e in (*candidates, *idle) for p in e.parameters}
@@ -245,11 +242,8 @@ def noise_channels(flights: Flights) -> tuple[str, ...]:
 
 def moves(x: Any, flights: Flights, least: float = 1e-9) -> bool:
     """Whether a channel (n,) moves within a manoeuvre: what differs only between them is no more than an offset."""
-    return any(_moves(part, least) for part in by_manoeuvre(np.asarray(x), flights))
-
-
-def _moves(x: np.ndarray, least: float = 1e-9) -> bool:
-    return bool(np.ptp(x) > least * max(1.0, float(np.abs(x).max())))
+    parts = by_manoeuvre(np.asarray(x), flights)
+    return any(np.ptp(part) > least * max(1.0, float(np.abs(part).max())) for part in parts)
 
 
 def by_manoeuvre(x: np.ndarray, flights: Flights) -> list[np.ndarray]:
@@ -265,23 +259,18 @@ def _rests_on(noise: Sequence[str], effect: Effect, flights: Flights) -> tuple[s
         return ()
     parts = {n: by_manoeuvre(np.asarray(flights.channels[n], float), flights) for n in noisy}
     calm = {n: np.concatenate([np.full_like(x, x.mean()) for x in each]) for n, each in parts.items()}
-    there = _varies(_made(effect, flights, {}), flights)
-    return noisy if there and not _varies(_made(effect, flights, calm), flights) else ()
+    return noisy if _makes(effect, flights, {}) and not _makes(effect, flights, calm) else ()
 
 
-def _made(effect: Effect, flights: Flights, instead: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-    """What an effect of its least size makes of the record, with some channels replaced."""
+def _makes(effect: Effect, flights: Flights, instead: Mapping[str, np.ndarray]) -> bool:
+    """Whether an effect of its least size, some channels replaced, makes what moves within a manoeuvre."""
+    # T/(qbar S) does where only the airspeed changes.
     values = {p.name: p.start + effect.sizes.get(p.name, (0.0, 0.0))[0] for p in effect.parameters}
     signals: dict[str, Any] = {name: np.asarray(x) for name, x in flights.channels.items()} | dict(instead)
     flow = NEUTRAL_FLOW | ({"incidence": signals["alpha"]} if "alpha" in signals else {})
-    return [np.asarray(x) for x in effect.increments(values, signals, flights.aircraft, flow).values()]
-
-
-def _varies(made: Sequence[np.ndarray], flights: Flights) -> bool:
-    """Whether any of these moves within a manoeuvre: T/(qbar S) does where only the airspeed changes."""
-    return any(
-        np.ptp(part) > MOVES * np.max(np.abs(x)) for x in made if np.ndim(x) for part in by_manoeuvre(x, flights)
-    )
+    made = [np.asarray(x) for x in effect.increments(values, signals, flights.aircraft, flow).values()]
+    parts = ((x, part) for x in made if np.ndim(x) for part in by_manoeuvre(x, flights))
+    return any(np.ptp(part) > MOVES * np.max(np.abs(x)) for x, part in parts)
 
 
 # --- The parts of the records that are predicted from the others: manoeuvres, or parts of a single one.
@@ -316,11 +305,9 @@ def folds_of(
     if why := too_short(len(manoeuvre) * seconds, settings):
         raise InputError(why)
     parts = min(settings.parts, int(len(manoeuvre) * seconds / (settings.shortest_part * settings.gap)))
-    cuts = np.linspace(0, len(manoeuvre), parts + 1).astype(int)
-    gap = max(1, round(settings.gap / seconds / 2))
-    return tuple(
-        slice(int(a) + (gap if a else 0), int(b) - (gap if b < len(manoeuvre) else 0)) for a, b in pairwise(cuts)
-    )
+    cuts, gap = np.linspace(0, len(manoeuvre), parts + 1).astype(int), max(1, round(settings.gap / seconds / 2))
+    begins, ends = [0, *(cuts[1:-1] + gap)], [*(cuts[1:-1] - gap), len(manoeuvre)]
+    return tuple(slice(int(a), int(b)) for a, b in zip(begins, ends, strict=True))
 
 
 # --- Regression of residuals on sensitivities from inner products alone, so that thousands of fits cost seconds.
@@ -561,12 +548,6 @@ class SelectionState:
         return self.offsets[: self.nuisance - len(self.apart) * len(self.responses.flights.lengths)]
 
     @property
-    def scanned(self) -> dict[Scan, Float[np.ndarray, "m c 1"]]:
-        """Sensitivity to each scanned value."""
-        begin = len(self.theta) + self.nuisance
-        return {scan: self.S[:, :, begin + i : begin + i + 1] for i, scan in enumerate(self.scans)}
-
-    @property
     def component_columns(self) -> list[Int[np.ndarray, " w"]]:
         """Columns of each component that is a candidate."""
         widths = [c.basis.shape[2] for c in (*self.chosen, *self.components)]
@@ -598,13 +579,9 @@ class SelectionState:
         """The active columns and these."""
         return np.concatenate([self.columns(), np.array(columns, int)])
 
-    def fit(self) -> RegressionFit:
-        """Regression with the effects that are in on all folds."""
-        return self.fit_columns(self.columns())
-
-    def fit_columns(self, columns: Int[np.ndarray, " k"], held: Float[np.ndarray, " c"] | None = None) -> RegressionFit:
-        """Regression with these columns on all folds; with variances it finds, or `held` ones."""
-        return self.products.fit(columns, self.mean, self.precision, held)
+    def fit(self, columns: Int[np.ndarray, " k"] | None = None, held: np.ndarray | None = None) -> RegressionFit:
+        """Regression on all folds with these columns (default: the active ones); with variances it finds, or `held`."""
+        return self.products.fit(self.columns() if columns is None else columns, self.mean, self.precision, held)
 
     def left(self, fit: RegressionFit) -> Float[np.ndarray, "m c"]:
         """Residuals that a fit leaves, divided by the noise_growth."""
@@ -632,7 +609,7 @@ class SelectionState:
 
     def share_of(self, own: Int[np.ndarray, " k"]) -> float:
         """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""
-        return float(np.max(1.0 - self.fit_columns(self.wider(own)).variance / self.fit().variance))
+        return float(np.max(1.0 - self.fit(self.wider(own)).variance / self.fit().variance))
 
     def without(self, effects: Sequence[str]) -> SelectionState:
         """The state with some of its additions at neutral, to first order."""
@@ -663,53 +640,49 @@ def linearised(
 ) -> SelectionState:
     """The state at `theta`, with a free offset in every manoeuvre of coefficients `apart` and noise as in `like`."""
     same = like if like is not None and like.responses is responses and like.outputs == outputs else None
-    known = same if same is not None and np.array_equal(same.theta, theta) else None  # not computed again
-    variance_inflation = 1.0 if like is None else like.variance_inflation
-    keep = [responses.outputs.index(name) for name in outputs]
-    if known is not None:
-        residual, S, scanned = known.residual, known.S[:, :, : len(theta)], known.scanned
+    inflation, scanned = 1.0 if like is None else like.variance_inflation, {}
+    if same is not None and np.array_equal(same.theta, theta):  # not computed again
+        residual, S, begin = same.residual, same.S[:, :, : len(theta)], len(theta) + same.nuisance
+        scanned = {scan: same.S[:, :, [begin + k]] for k, scan in enumerate(same.scans)}
     else:
-        residual, S = responses.linearise(theta)
-        residual, S, scanned = residual[:, keep], S[:, keep], {}
+        keep = [responses.outputs.index(name) for name in outputs]
+        residual, S = (x[:, keep] for x in responses.linearise(theta))
     constants = [constants_of_manoeuvres(full, responses.manoeuvre, outputs, S, name) for name in apart]
-    scans, extra = [], [np.concatenate([responses.offsets(theta, outputs), *constants], axis=2)]
-    for effect in full.candidates:
-        if effect.name in active:
-            continue
-        for name, values in effect.scan.items():
-            at = int(full.columns([name])[0])
-            for value in values:
-                scans.append(Scan(effect.name, name, value))
-                if scans[-1] in scanned:
-                    extra.append(scanned[scans[-1]])
-                    continue
-                there = theta.copy()
-                there[at] = value
-                other = responses.residuals(there, outputs)
-                extra.append(((residual - other) / (value - theta[at]))[:, :, None])
-    S = np.concatenate([S, *extra, np.zeros((*residual.shape, 1))], axis=2)
+    offsets, scans, tried = responses.offsets(theta, outputs), [], []
+    lacking = [e for e in full.candidates if e.name not in active]
+    for scan in [Scan(e.name, p, value) for e in lacking for p, values in e.scan.items() for value in values]:
+        scans.append(scan)
+        if scan not in scanned:
+            there, at = theta.copy(), int(full.columns([scan.parameter])[0])
+            there[at] = scan.value
+            change = (residual - responses.residuals(there, outputs)) / (scan.value - theta[at])
+            scanned[scan] = change[:, :, None]
+        tried.append(scanned[scan])
+    S = np.concatenate([S, offsets, *constants, *tried, np.zeros((*residual.shape, 1))], axis=2)
     S = np.where(np.abs(S) < LARGEST, S, 0.0)
     noise_growth = np.ones_like(residual) if same is None else same.noise_growth
     folds = folds_of(responses.manoeuvre, responses.seconds, full.settings)
     mean, precision = full.prior(range(len(theta)), theta)
-    precision = variance_inflation * precision
     of_scans = [int(full.columns([s.parameter])[0]) for s in scans]
-    nothing = np.zeros(extra[0].shape[2])
-    # Nearly flat: the constants add up to about zero, and the model's own constant stays what it is in the mean.
-    size = []  # of a constant that moves the outputs by the deviation of their residuals
-    for ones in (ones for S in constants for ones in np.moveaxis(S, 2, 0)):
-        here = np.any(ones != 0.0, axis=1)
-        by_one = np.mean(ones[here] ** 2, axis=0) if here.any() else np.zeros(ones.shape[1])
-        size.append(1.0 / max(float(np.sqrt(np.sum(by_one / np.maximum(np.var(residual, axis=0), TINY)))), TINY))
-    wide = variance_inflation / np.square(np.maximum(WIDE * np.array(size), TINY))
-    flat = np.concatenate([nothing[len(size) :], wide])
-    mean = np.concatenate([mean, nothing, mean[of_scans], [0.0]])
-    precision = np.concatenate([precision, flat, precision[of_scans], [1.0]])
+    # Nearly flat: the constants add up to about zero, and the model's own constant stays what it is in the mean. A
+    # deviation is ten times that which moves the outputs by the deviation of their residuals.
+    free = np.zeros(offsets.shape[2])
+    wide = np.concatenate([free, *(_flat(ones, residual) for ones in constants)])
+    mean = np.concatenate([mean, np.zeros(len(wide)), mean[of_scans], [0.0]])
+    precision = np.concatenate([inflation * np.concatenate([precision, wide, precision[of_scans]]), [1.0]])
     products = Products.of(residual / noise_growth, S / noise_growth[:, :, None], folds)
     return SelectionState(
         full, responses, outputs, theta, residual, S, noise_growth, folds, products, mean, precision, active,
-        tuple(scans), extra[0].shape[2], variance_inflation, apart,
+        tuple(scans), len(wide), inflation, apart,
     )  # fmt: skip
+
+
+def _flat(constants: Float[np.ndarray, "m c o"], residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, " o"]:
+    """Precision of constants that move the outputs by `WIDE` times the deviation of their residuals."""
+    rows = np.maximum(np.any(constants != 0.0, axis=1).sum(axis=0), 1)
+    by_one = np.sum(constants**2, axis=0) / rows / np.maximum(np.var(residual, axis=0), TINY)[:, None]
+    size = 1.0 / np.maximum(np.sqrt(np.sum(by_one, axis=0)), TINY)
+    return 1.0 / np.square(np.maximum(WIDE * size, TINY))
 
 
 def constants_of_manoeuvres(
@@ -717,24 +690,10 @@ def constants_of_manoeuvres(
 ) -> Float[np.ndarray, "m c o"]:
     """Sensitivity to a coefficient's constant in every manoeuvre: of itself, or of flown outputs to the model's one."""
     if name in outputs:
-        return manoeuvre_constants(manoeuvre, outputs, name)
-    here = manoeuvre[:, None] == np.arange(int(manoeuvre[-1]) + 1)
-    column = np.where(np.abs(S) < LARGEST, S, 0.0)[:, :, full.columns([constant_of(name)])]
-    return column * here[:, None, :]
-
-
-def constant_of(coefficient: str) -> str:
-    """The parameter that is a coefficient's constant."""
-    return f"{coefficient}0"
-
-
-def manoeuvre_constants(
-    manoeuvre: Int[np.ndarray, " m"], outputs: Sequence[str], name: str
-) -> Float[np.ndarray, "m c o"]:
-    """A column of ones in one output for every manoeuvre."""
-    S = np.zeros((len(manoeuvre), len(outputs), int(manoeuvre[-1]) + 1))
-    S[np.arange(len(manoeuvre)), outputs.index(name), manoeuvre] = 1.0
-    return S
+        column = np.tile((np.array(outputs) == name)[:, None], (len(manoeuvre), 1, 1)).astype(float)
+    else:
+        column = np.where(np.abs(S) < LARGEST, S, 0.0)[:, :, full.columns([f"{name}0"])]
+    return column * (manoeuvre[:, None, None] == np.arange(int(manoeuvre[-1]) + 1))
 
 
 def moved(
@@ -762,9 +721,8 @@ def refitted(state: SelectionState) -> tuple[SelectionState, RegressionFit]:
 
 def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> Float[np.ndarray, " k"]:
     """Gauss-Newton on all active parameters, fitted to the chosen folds, each step kept inside the bounds."""
-    bounds = np.array([p.bounds for p in state.full.model.free])
-    columns = state.columns()
-    at = columns[columns < len(state.theta)]
+    bounds, columns = np.array([p.bounds for p in state.full.model.free]), state.columns()
+    at, none = columns[columns < len(state.theta)], np.arange(0)
 
     def stepped(share: float) -> Float[np.ndarray, " k"]:
         after = theta.copy()
@@ -773,13 +731,13 @@ def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> 
 
     def deviance_at(theta: Float[np.ndarray, " k"]) -> float:
         """The deviance of `local_fit` without its regression, from the residuals alone."""
-        residual = state.responses.residuals(theta, state.outputs)
-        none = np.arange(0)
         mean, precision = state.full.prior(at, theta)
+        linear = state.responses.residuals(theta, state.outputs), state.S[:, :, none]
         prior = state.variance_inflation * float(np.sum(precision * mean**2))
-        return _fit_at(state, theta, none, folds, (residual, state.S[:, :, none]))[1] + prior
+        return local_fit(state, theta, none, folds, linear=linear)[1] + prior
 
-    theta, (fit, value) = state.theta, _fit_at(state, state.theta, at, folds, (state.residual, state.S[:, :, at]))
+    theta = state.theta
+    fit, value = local_fit(state, theta, at, folds, linear=(state.residual, state.S[:, :, at]))
     # A step that does not lower the deviance is shortened. The last step is one that would gain less than `LEAST_GAIN`.
     for step in range(most):
         if step:
@@ -805,31 +763,20 @@ def local_fit(
     at: Int[np.ndarray, " a"],
     folds: Sequence[int],
     held: Float[np.ndarray, " c"] | None = None,
+    linear: tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c a"]] | None = None,
 ) -> tuple[RegressionFit, float]:
-    """Regression on the columns `at` at `theta`, and the deviance there; with variances it finds, or `held` ones."""
-    residual, S = (x[:, state.kept_outputs] for x in state.responses.linearise(theta, at))
-    return _fit_at(state, theta, at, folds, (residual, np.where(np.isfinite(S), S, 0.0)), held)
-
-
-def _fit_at(
-    state: SelectionState,
-    theta: Float[np.ndarray, " k"],
-    at: Int[np.ndarray, " a"],
-    folds: Sequence[int],
-    linear: tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c a"]],
-    held: Float[np.ndarray, " c"] | None = None,
-) -> tuple[RegressionFit, float]:
-    """The same from residuals at `theta` and sensitivities to the columns `at` (`linear`)."""
-    residual, S = linear
-    beside = state.columns()
+    """Regression on the columns `at` at `theta`, and the deviance there; with variances it finds, or `held` ones.
+    `linear`: the residuals there and their sensitivities, where these are known."""
+    if linear is None:
+        residual, S = (x[:, state.kept_outputs] for x in state.responses.linearise(theta, at))
+        linear = residual, np.where(np.isfinite(S), S, 0.0)
+    beside, growth = state.columns(), state.noise_growth
     beside = beside[beside >= len(state.theta)]  # offsets, and components that are in
-    S = np.concatenate([S, state.S[:, :, beside]], axis=2)
-    growth, chosen = state.noise_growth, [state.folds[f] for f in folds]
-    products = Products.of(residual / growth, S / growth[:, :, None], chosen)
+    S = np.concatenate([linear[1], state.S[:, :, beside]], axis=2)
+    products = Products.of(linear[0] / growth, S / growth[:, :, None], [state.folds[f] for f in folds])
     mean, precision = state.full.prior(at, theta)
-    precision = state.variance_inflation * precision
-    mean, precision = np.append(mean, state.mean[beside]), np.append(precision, state.precision[beside])
-    free = np.arange(S.shape[2])
+    prior = state.variance_inflation * float(np.sum(precision * mean**2))
+    precision = np.append(state.variance_inflation * precision, state.precision[beside])
+    mean, free = np.append(mean, state.mean[beside]), np.arange(S.shape[2])
     only = products.fit(free[len(at) :], mean, precision)  # parameters as they are; offsets and variances adapt
-    prior = float(np.sum(precision[: len(at)] * mean[: len(at)] ** 2))
     return products.fit(free, mean, precision, held), only.deviance + prior

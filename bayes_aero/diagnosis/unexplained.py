@@ -304,7 +304,7 @@ def terms_of_coefficient(
         if nats(best.gain, best.inflation) < settings.ambiguous or best.share < settings.unnamed_share:
             break
         own = trial.component_columns[trial.components.index(best.column.component)]
-        wider = trial.fit_columns(trial.wider(own))
+        wider = trial.fit(trial.wider(own))
         colour = autocorrelation_of(trial.left(wider), trial.folds)
         p = chance_of(best.share, null_shares(trial, colour, wider.variance, seed + number))
         if p > settings.unnamed_false_alarm_rate:
@@ -351,7 +351,7 @@ def leader(
     others.sort(key=lambda other: -other[1])
     column = trial.component_columns[order[first]]
     own = trial.wider(column)
-    explained = nats(fit.deviance - trial.fit_columns(own).deviance, inflation)
+    explained = nats(fit.deviance - trial.fit(own).deviance, inflation)
     term = SelectedTerm(
         open_ones[order[first]], holdout_deviance_gain(trial, own), trial.share_of(column), inflation,
         float(weights[first]), tuple(others), float("nan"), len(columns),
@@ -367,7 +367,7 @@ def _ranked(trial: SelectionState, fit: RegressionFit) -> tuple[list[int], Float
     n = float(trial.products.count.sum())
     gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
     order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
-    best = trial.fit_columns(trial.wider(trial.component_columns[order[0]]))
+    best = trial.fit(trial.wider(trial.component_columns[order[0]]))
     colour = autocorrelation_of(trial.left(best), trial.folds)
     # Two terms are told from each other by the residual along the difference of what they explain.
     made = projected.P[:, :, place[order]] * (bread * right)[order]
@@ -465,7 +465,7 @@ def _chance(trial: SelectionState, standing: CandidateScore, among: int) -> floa
     # No stationary colour holds in windows, with a term in or out; and innovations are white only as far as the noise
     # of the filter is right. So it is how far the estimate moves without each part of the flights, Bonferroni over the
     # library.
-    wider = trial.fit_columns(wide)
+    wider = trial.fit(wide)
     return jackknife_p_value(trial, wider, own, wider.step[-1:], among)
 
 
@@ -479,12 +479,11 @@ def _weighed(
     near.sort(key=lambda pair: pair[0] is not first)  # the leader is the first
     trial = state.with_components([c.component for c, _ in near], chosen)
     fit = trial.fit()
-    colour = autocorrelation_of(trial.left(trial.fit_columns(trial.wider(trial.component_columns[0]))), trial.folds)
+    colour = autocorrelation_of(trial.left(trial.fit(trial.wider(trial.component_columns[0]))), trial.folds)
     # What tells two of them apart is the residual along the difference of what they explain.
-    projected, residual = PartialledRegression(trial, fit, trial.component_columns), trial.left(fit)
-    right = projected.right(residual)
-    estimates = [bread @ right[place] for bread, place in zip(projected.bread, projected.place, strict=True)]
-    apart = projected.apart(residual, estimates, 0, colour, trial.responses.parts)
+    projected = PartialledRegression(trial, fit, trial.component_columns)
+    residual = trial.left(fit)
+    apart = projected.apart(residual, projected.estimates(residual), 0, colour, trial.responses.parts)
     lost = np.array([nats(best - gain, x) for (_, gain), x in zip(near, apart, strict=True)])
     weights = weights_of(lost - lost.min(), [c.term.cost for c, _ in near])
     close = np.flatnonzero(lost - lost.min() < state.settings.ambiguous)

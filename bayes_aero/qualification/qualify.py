@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -50,9 +51,12 @@ from bayes_aero.qualification import (
 )
 from bayes_aero.residuals.equation_error import EquationError
 
+Vector = Float[np.ndarray, " k"]
+Drawn = Float[np.ndarray, "m n c"]  # of m draws, n samples and c outputs
+
 
 def errors(
-    flown: SegmentTrajectories, theta: Float[np.ndarray, " k"]
+    flown: SegmentTrajectories, theta: Vector
 ) -> tuple[Float[np.ndarray, "w n c"], Float[np.ndarray, "w n"], Bool[np.ndarray, " w"]]:
     """Recorded minus simulated, SI; separated share of the flow; whether each manoeuvre stays inside the envelope."""
     still = jnp.zeros((len(flown.index), len(flown.dynamics.start)))
@@ -63,40 +67,35 @@ def errors(
     return np.asarray(simulated.residual), separated, sound
 
 
-def spread(
-    alone: SegmentTrajectories, theta: Float[np.ndarray, " k"], draws: Float[np.ndarray, "m k"]
-) -> Float[np.ndarray, "m n c"]:
+def spread(alone: SegmentTrajectories, theta: Vector, draws: Float[np.ndarray, "m k"]) -> Drawn:
     """Flights of one manoeuvre with drawn parameters minus the simulation at `theta`, SI; infinite once outside."""
     still = jnp.zeros((1, len(alone.dynamics.start)))
 
-    def residual(one: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n c"]:
-        found = trajectories(alone, jnp.asarray(one), still)
-        sound = np.asarray(found.trajectory.inside[0])[:, None]
-        made = np.asarray(found.residual[0])
+    def residual(drawn: Vector) -> Float[np.ndarray, "n c"]:
+        flight = trajectories(alone, jnp.asarray(drawn), still)
+        sound, made = np.asarray(flight.trajectory.inside[0])[:, None], np.asarray(flight.residual[0])
         return np.where(sound & np.isfinite(made), made, -np.inf)
 
     centre = residual(theta)
     with ThreadPoolExecutor(cores()) as pool:
-        return np.stack([centre - one for one in pool.map(residual, draws)])
+        return np.stack([centre - away for away in pool.map(residual, draws)])
 
 
 def gust_spread(
     alone: SegmentTrajectories, draws: Float[np.ndarray, "m k"], gusts: Mapping[str, float], rng: np.random.Generator
-) -> Float[np.ndarray, "m n c"]:
+) -> Drawn:
     """What gusts add to flights with drawn parameters, SI, begun in gusts of their own distribution; else calm air."""
     gusty = disturbed(alone)
-    free = gusty.dynamics.free
-    calm = {p.name: p.start for p in free if p.name in gusty.dynamics.disturbance_parameters}
-    calm |= {p.name: 0.0 for p in free if p.name in calm and p.neutral == 0.0}
+    free, own = gusty.dynamics.free, gusty.dynamics.disturbance_parameters
+    calm = {p.name: 0.0 if p.neutral == 0.0 else p.start for p in free if p.name in own}
     n, s = alone.index.shape[1], len(gusty.dynamics.states)
 
-    def one(job: tuple[Float[np.ndarray, " k"], np.ndarray]) -> Float[np.ndarray, "n c"]:
+    def added(job: tuple[Vector, np.ndarray]) -> Float[np.ndarray, "n c"]:
         values = calm | dict(zip(alone.dynamics.names, job[0], strict=True)) | dict(gusts)
-        theta = jnp.asarray([values[p.name] for p in free])
-        return np.asarray(_added(gusty.nameless, theta, jnp.asarray(job[1])))
+        return np.asarray(_added(gusty.nameless, jnp.asarray([values[p.name] for p in free]), jnp.asarray(job[1])))
 
     with ThreadPoolExecutor(cores()) as pool:
-        return np.stack(list(pool.map(one, ((d, rng.standard_normal((n + 1, s))) for d in draws))))
+        return np.stack(list(pool.map(added, ((d, rng.standard_normal((n + 1, s))) for d in draws))))
 
 
 @eqx.filter_jit
@@ -114,224 +113,6 @@ def _added(gusty: SegmentTrajectories, theta: Float[Array, " k"], white: Float[A
 
     made, sound = jax.vmap(fly)(jnp.stack([begin, states[0]]), jnp.stack([white[1:], jnp.zeros_like(white[1:])]))
     return jnp.where(jnp.all(sound, axis=0)[:, None], (made[0] - made[1]) / prepared.scale[0], jnp.inf)
-
-
-# --- Flights that would decide tolerances: what more records make of the parameters, and so of the probability to
-# pass.
-# A record narrows the distribution of the parameters. A flight departs from the simulation in proportion to their
-# errors, so that its part by the parameters shrinks with them, and errors of the structure and gusts stay. A
-# tolerance that stays undecided with known parameters is decided by no record: the model must become better. It is
-# assumed that the estimates do not move.
-
-KEPT = 1e-10  # of the largest eigenvalue of a scaled covariance: directions below it are known
-
-
-@dataclass(frozen=True)
-class OpenTest:
-    """An undecided test: what drawn parameters and all else add to each of m flights at n samples, SI."""
-
-    kind: FlightKind
-    manoeuvre: str
-    output: str
-    tolerance: float
-    by_parameters: Float[np.ndarray, "m n"]
-    by_all_else: Float[np.ndarray, "m n"]
-
-
-@dataclass(frozen=True)
-class _Linear:
-    """An open test whose part by the parameters is linear in their errors, as far as `slope` (k, n) says."""
-
-    test: OpenTest
-    slope: Float[np.ndarray, "k n"]
-    worst: int
-
-    @classmethod
-    def of(cls, test: OpenTest, errors: Float[np.ndarray, "m k"]) -> _Linear:
-        sound = np.all(np.isfinite(test.by_parameters), axis=1)
-        slope = np.linalg.lstsq(errors[sound], test.by_parameters[sound], rcond=None)[0]
-        total = np.nan_to_num(test.by_parameters + test.by_all_else, nan=np.inf)
-        return cls(test, slope, int(np.argmax(np.quantile(np.abs(total), PASSES_FROM, axis=0))))
-
-    def probability(self, errors: Float[np.ndarray, "m k"], shrunk: Float[np.ndarray, "m k"]) -> float:
-        flights = self.test.by_parameters + (shrunk - errors) @ self.slope + self.test.by_all_else
-        return float(np.mean(np.all(np.abs(np.nan_to_num(flights, nan=np.inf)) <= self.test.tolerance, axis=1)))
-
-    def deviation(self, covariance: Float[np.ndarray, "k k"]) -> float:
-        g = self.slope[:, self.worst]
-        return float(np.sqrt(max(g @ covariance @ g, 0.0)))
-
-
-def further_flights(
-    tests: Sequence[OpenTest],
-    names: Sequence[str],
-    errors: Float[np.ndarray, "m k"],
-    flights: Flights,
-    model: Model,
-    values: dict[str, float],
-    envelope: Envelope,
-) -> Further:
-    """Test points for the undecided tolerances, inside the envelope; `errors` of the drawn parameters `names`."""
-    scale = np.std(errors, axis=0)
-    moving = np.flatnonzero(scale > 0.0)
-    names, errors = [names[int(k)] for k in moving], errors[:, moving] / scale[moving]
-    open_ = [_Linear.of(test, errors) for test in tests]
-    known = [one.probability(errors, np.zeros_like(errors)) for one in open_]
-    useful = [one for one, chance in zip(open_, known, strict=True) if _decided(chance)]
-    first = np.cov(errors, rowvar=False).reshape(len(names), len(names))
-    points, refused = (), {}
-
-    def nats(information: Float[np.ndarray, "k k"]) -> float:
-        after = _after(first, information)
-        moved = [one for one in useful if one.deviation(first) > 0.0]
-        return float(np.sum(np.log([one.deviation(first) / max(one.deviation(after), 1e-300) for one in moved])))
-
-    if useful:
-        missing = [n for n in required_of(model.axes) if n not in flights.channels]
-        if missing:
-            raise InputError(f"test points are judged by coefficients, and {missing[0]} was not recorded")
-        full = CandidateModel(model, tuple(e.name for e in model.effects if e.parameters), (), {})
-        estimate = np.array([values[name] for name in model.names])
-        state = linearised(full, EquationError.of(flights, model), model.coefficients, estimate)
-        variants = variants_of(state, (), envelope)
-        possible = [
-            replace(one, information=_precision(one.information, names, scale[moving]))
-            for one in possible_points(state, variants, (), noise_of(state), envelope)
-        ]
-        refused = refused_points(variants, envelope)
-        points = best_points(
-            possible,
-            np.zeros_like(first),
-            nats=nats,
-            expected=lambda information: tuple(
-                one.probability(errors, _shrunk(errors, first, information)) for one in open_
-            ),
-            decided=lambda information: all(
-                _decided(one.probability(errors, _shrunk(errors, first, information))) for one in useful
-            ),
-        )
-    questions = tuple(
-        OpenTolerance(t.kind, t.manoeuvre, t.output, one.probability(errors, errors), chance)
-        for t, one, chance in zip(tests, open_, known, strict=True)
-    )
-    return Further(questions, tuple(points), refused)
-
-
-def _decided(chance: float) -> bool:
-    return not FAILS_TO < chance < PASSES_FROM
-
-
-def _after(first: Float[np.ndarray, "k k"], information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
-    return first - first @ information @ np.linalg.solve(np.eye(len(first)) + first @ information, first)
-
-
-def _shrunk(errors: np.ndarray, first: np.ndarray, information: np.ndarray) -> Float[np.ndarray, "m k"]:
-    return errors @ np.linalg.pinv(_root(first)) @ _root(_after(first, information))
-
-
-def _root(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
-    size, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    size = np.where(size > KEPT * max(size[-1], 0.0), size, 0.0)
-    return (vectors * np.sqrt(size)) @ vectors.T
-
-
-def _precision(
-    information: Information, names: Sequence[str], scale: Float[np.ndarray, " k"]
-) -> Float[np.ndarray, "k k"]:
-    """Of a record by itself on scaled parameters, under coloured noise: I M^-1 I."""
-    at = [k for k, label in enumerate(information.labels) if label in names]
-    place = [list(names).index(information.labels[k]) for k in at]
-    unit = np.outer(scale[place], scale[place])
-    matrix, score = information.matrix[np.ix_(at, at)] * unit, information.score_variance[np.ix_(at, at)] * unit
-    whole = np.zeros((len(names), len(names)))
-    whole[np.ix_(place, place)] = matrix @ np.linalg.pinv(score, rcond=KEPT, hermitian=True) @ matrix
-    return whole
-
-
-# --- The same model fitted to all manoeuvres but one, and to each by itself: hold-out errors, and the next flight.
-
-USABLE = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
-DRAWS = 40  # of the posterior of a fit without a manoeuvre
-NEGLIGIBLE = 1e-8  # eigenvalue of an information matrix over its largest
-
-
-@dataclass(frozen=True)
-class HoldOut:
-    """Errors (w, n, c) of manoeuvres that were not fitted, and the mean squares (c,) that parameters explain, SI."""
-
-    errors: Float[np.ndarray, "w n c"]
-    explained: Float[np.ndarray, " c"]
-
-
-def fits_without(fit: OutputErrorResult, noise: FlightNoise) -> list[OutputErrorResult]:
-    """For each manoeuvre the fit to all others."""
-    candidate = CandidateFit("qualified", fit)
-    silent = {candidate.name: {k: {} for k in range(len(fit.flown.index))}}
-    return [fit_without for _, fit_without in left_out([candidate], silent, noise)]
-
-
-def hold_out(
-    wide: SegmentTrajectories, fits: Sequence[OutputErrorResult], inflation: float, seed: int
-) -> HoldOut | None:
-    """Errors of every manoeuvre by the fit without it; None where one of these fits cannot fly it."""
-    errors_by_manoeuvre, explained, counts = [], [], []
-    for k, fit in enumerate(fits):
-        alone = wide.part([k])
-        error, _, sound = errors(alone, fit.estimate)
-        if not sound[0]:
-            return None
-        draws = posterior_draws(fit, inflation, seed, DRAWS)
-        apart = spread(alone, fit.estimate, draws)[:, alone.inside[0]]
-        errors_by_manoeuvre.append(error[0])
-        explained.append(mean_square(apart))
-        counts.append(float(alone.inside.sum()))
-    return HoldOut(np.stack(errors_by_manoeuvre), np.average(explained, axis=0, weights=counts))
-
-
-def mean_square(apart: Float[np.ndarray, "m n c"]) -> Float[np.ndarray, " c"]:
-    """Of the flights that stay in the envelope; infinite where none does."""
-    sound = np.all(np.isfinite(apart), axis=(1, 2))
-    return np.mean(apart[sound] ** 2, axis=(0, 1)) if sound.any() else np.full(apart.shape[2], math.inf)
-
-
-def alone_fits(fit: OutputErrorResult, without: Sequence[OutputErrorResult], inflation: float):
-    """Every manoeuvre fitted by itself; of two, the fit without the other."""
-    count = len(fit.flown.index)
-    if count == 2:
-        return [without[1], without[0]]
-    options = {"start": fit.estimate, "prior_weight": inflation}
-    return [fit_output_error(masked(fit.flown, k, keep=True), **options) for k in range(count)]
-
-
-def next_parameters(
-    alone: Sequence[OutputErrorResult], inflation: float, count: int, seed: int, progress: Progress | None = None
-) -> Float[np.ndarray, "m k"] | None:
-    """Draws of the parameters of a flight not yet flown, by partial pooling; None with fewer than two usable fits."""
-    usable = [fit for fit in alone if fit.status in USABLE]
-    if len(usable) < 2:
-        return None
-    y, information = zip(*(_of_data(fit, inflation) for fit in usable), strict=True)
-    parameters = usable[0].parameters
-    drawn, _ = pool(
-        Hierarchy.of([p.name for p in parameters], np.stack(y), np.stack(information)), seed=seed, progress=progress
-    )
-    following = drawn.following.reshape(-1, len(parameters))
-    kept = np.random.default_rng([seed, 11]).choice(len(following), count, replace=len(following) < count)
-    drawn_parameters = [from_prior_units(p.prior, following[kept, i]) for i, p in enumerate(parameters)]
-    lower, upper = (np.array([p.bounds[i] for p in parameters], float) for i in (0, 1))
-    return np.clip(np.stack(drawn_parameters, axis=1), lower, upper)
-
-
-def _of_data(fit: OutputErrorResult, inflation: float) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
-    """The maximum of the likelihood and its information in units of the priors; none of parameters at a bound."""
-    parameters = fit.parameters
-    unit = np.array([float(prior_unit(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
-    mean = np.array([p.prior.normal[0] for p in parameters])
-    free = np.array([p.name not in fit.at_bound for p in parameters], float)
-    information = fit.information * np.outer(unit * free, unit * free) / inflation
-    pulled = fit.priors.precision * unit**2 / inflation * (fit.estimate - mean) / unit * free
-    y = np.array([float(to_prior_units(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
-    return y + np.linalg.pinv(information, rcond=NEGLIGIBLE, hermitian=True) @ pulled, information
 
 
 # --- Errors of a simulation that parameters do not explain, as random histories: an autoregression and white noise.
@@ -417,13 +198,12 @@ def _block(dt: float) -> int:
 
 
 def _means(error: Float[np.ndarray, "n c"], dt: float) -> tuple[Float[np.ndarray, "t c"], Float[np.ndarray, "n c"]]:
+    """Means over blocks, and the error without the lines that join them."""
     block = _block(dt)
     blocks = max(1, len(error) // block)
     means = np.stack([part.mean(axis=0) for part in np.array_split(error[: blocks * block], blocks)])
-    centre = block * np.arange(blocks) + 0.5 * (block - 1)
-    at = np.arange(len(error))
-    line = np.stack([np.interp(at, centre, column) for column in means.T], axis=1)
-    return means, error - line
+    at, centre = np.arange(len(error)), block * np.arange(blocks) + 0.5 * (block - 1)
+    return means, error - np.stack([np.interp(at, centre, column) for column in means.T], axis=1)
 
 
 def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int]) -> float:
@@ -432,22 +212,28 @@ def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int])
         P = A @ P @ A.T
         P[0, 0] += 1.0
         variances.append(P[0, 0])
-    total = np.cumsum(variances)
-    return float(sum(total[length - 1] for length in lengths) / sum(lengths))
+    return float(np.cumsum(variances)[np.array(lengths) - 1].sum() / sum(lengths))
 
 
 # --- How probably each test passes.
 
 CENTRAL = (0.025, 0.975)
-EXPLAINING = 40  # draws for the mean square that parameters or gusts explain
+DRAWS = 40  # for the mean square that parameters or gusts explain
 FAR = 1e30  # of a flight that left the envelope
+
+
+class HoldOut(NamedTuple):
+    """Errors (w, n, c) of manoeuvres that were not fitted, and the mean squares (c,) that parameters explain, SI."""
+
+    errors: Float[np.ndarray, "w n c"]
+    explained: Float[np.ndarray, " c"]
 
 
 @dataclass(frozen=True)
 class Uncertain:
     """What is not known of a model."""
 
-    estimate: Float[np.ndarray, " k"]  # its parameters, SI
+    estimate: Vector  # its parameters, SI
     draws: Float[np.ndarray, "m k"]  # of their posterior
     following: Float[np.ndarray, "m k"] | None = None
     """Of the next flight's; None where their scatter between manoeuvres is not known. They are used where they do not
@@ -460,24 +246,44 @@ class Uncertain:
 
 
 @dataclass(frozen=True)
-class QualifiedFlights:
+class OpenTest:
+    """An undecided test: what drawn parameters and all else add to each of m flights at n samples, SI."""
+
+    kind: FlightKind
+    manoeuvre: str
+    output: str
+    tolerance: float
+    by_parameters: Float[np.ndarray, "m n"]
+    by_all_else: Float[np.ndarray, "m n"]
+
+    def slope(self, errors: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "k n"]:
+        """By which the part by the parameters follows their errors."""
+        sound = np.all(np.isfinite(self.by_parameters), axis=1)
+        return np.linalg.lstsq(errors[sound], self.by_parameters[sound], rcond=None)[0]
+
+    @property
+    def worst(self) -> int:
+        """The sample that most often leaves the band."""
+        total = np.nan_to_num(self.by_parameters + self.by_all_else, nan=np.inf)
+        return int(np.argmax(np.quantile(np.abs(total), PASSES_FROM, axis=0)))
+
+    def probability(self, change: Float[np.ndarray, "m n"] | float = 0.0) -> float:
+        """To pass, where the part by the parameters changes by this."""
+        flights = np.nan_to_num(self.by_parameters + change + self.by_all_else, nan=np.inf)
+        return float(np.mean(np.all(np.abs(flights) <= self.tolerance, axis=1)))
+
+
+class QualifiedFlights(NamedTuple):
     """`scattered`: whether the next flight has the scatter of the parameters; `undecided`: left open by them."""
 
     tests: tuple[Test, ...]
     strips: tuple[Strip, ...]
     scattered: bool | None
-    undecided: tuple[OpenTest, ...] = ()
+    undecided: tuple[OpenTest, ...]
 
 
-@dataclass(frozen=True)
-class _Case:
-    """One manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain."""
-
-    kind: FlightKind
-    flown: SegmentTrajectories
-    row: int
-    draws: Float[np.ndarray, "m k"]
-    structure: Structure
+_Case = tuple[FlightKind, SegmentTrajectories, int, Float[np.ndarray, "m k"], Structure]
+"""A manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain."""
 
 
 def qualify(
@@ -490,19 +296,17 @@ def qualify(
     progress: Progress | None = None,
 ) -> QualifiedFlights:
     """Every test of every manoeuvre, fitted (`flown`) or not (`tests`); `bands`: half widths by output, SI."""
-    cases = _cases(flown, tests, unknown, seed)
-    judged: list[Test] = []
-    strips: list[Strip] = []
-    undecided: list[OpenTest] = []
+    cases, judged, strips = _cases(flown, tests, unknown, seed), list[Test](), list[Strip]()
+    undecided, scattered = list[OpenTest](), None
     for number, case in enumerate(cases):
         if progress:
             progress("flights", number / len(cases))
-        result, strip, still = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
-        judged += result
+        results, strip, still = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
+        judged += results
         strips.append(strip)
-        undecided += still if case.draws is unknown.draws else []
-    ahead = [case for case in cases if case.kind is FlightKind.NEXT]
-    scattered = ahead[0].draws is unknown.following if ahead else None
+        undecided += still if case[3] is unknown.draws else []
+        if case[0] is FlightKind.NEXT:
+            scattered = case[3] is unknown.following
     return QualifiedFlights(tuple(judged), tuple(strips), scattered, tuple(undecided))
 
 
@@ -520,7 +324,7 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
     def explained(draws: Float[np.ndarray, "m k"], *, gusts: bool = False) -> Float[np.ndarray, " c"]:
         parts = []
         for row, real in enumerate(flown.inside):
-            alone, few = flown.part([row]), draws[:EXPLAINING]
+            alone, few = flown.part([row]), draws[:DRAWS]
             apart = gust_spread(alone, few, unknown.gusts, rng) if gusts else spread(alone, unknown.estimate, few)
             parts.append(mean_square(apart[:, real]))
         return np.average(parts, axis=0, weights=flown.inside.sum(axis=1))
@@ -535,10 +339,11 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         taken = np.minimum(explained + by_gusts, most)
         return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), taken)
 
-    cases = [_Case(FlightKind.AGAIN, flown, k, unknown.draws, structure(fitted, own)) for k in range(len(flown.index))]
+    again = structure(fitted, own)
+    cases: list[_Case] = [(FlightKind.AGAIN, flown, k, unknown.draws, again) for k in range(len(flown.index))]
     left_out = structure(held.errors, held.explained)
     if tests is not None:
-        cases += [_Case(FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
+        cases += [(FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
     if unknown.following is None and unknown.hold_out is None:
         return cases
     draws, ahead = unknown.draws, left_out
@@ -547,7 +352,7 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         shown = np.mean(held.errors[flown.inside] ** 2, axis=0)
         if np.median(scatter / np.maximum(shown, 1e-300)) <= 1.0 or unknown.hold_out is None:
             draws, ahead = unknown.following, structure(held.errors, scatter)
-    cases += [_Case(FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
+    cases += [(FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
     return cases
 
 
@@ -555,22 +360,23 @@ def _judged(
     case: _Case, unknown: Uncertain, bands: Mapping[str, float], rng: np.random.Generator
 ) -> tuple[list[Test], Strip, list[OpenTest]]:
     """Probabilities with more and more counted, the band of flights with all of it, and what is undecided."""
-    alone = case.flown.part([case.row])
+    kind, flown, row, draws, structure = case
+    alone = flown.part([row])
     (error,), (separated,), sound = errors(alone, unknown.estimate)
-    name, keep, outputs, dt = label(case.flown, case.row), alone.inside[0], alone.outputs, float(alone.dt[0])
+    name, keep, outputs, dt = label(flown, row), alone.inside[0], alone.outputs, float(alone.dt[0])
     if not sound[0]:
         raise InputError(
             f"the simulation of {name} with the estimates leaves the flight envelope, so there is nothing to compare; "
             "leave this record out"
         )
-    flights = by_parameters = spread(alone, unknown.estimate, case.draws)
+    flights = by_parameters = spread(alone, unknown.estimate, draws)
     chances, limits = {}, np.array([bands[n] for n in outputs])
     for counted in ("parameters", "structure", *(("gusts",) if unknown.gusts else ())):
         if counted == "structure":
-            recorded = error if case.kind is FlightKind.AGAIN else None
-            flights = flights + case.structure.draws(len(flights), separated, dt, rng, recorded)
+            recorded = error if kind is FlightKind.AGAIN else None
+            flights = flights + structure.draws(len(flights), separated, dt, rng, recorded)
         if counted == "gusts":
-            flights = flights + gust_spread(alone, case.draws, unknown.gusts, rng)
+            flights = flights + gust_spread(alone, draws, unknown.gusts, rng)
         inside = np.abs(np.nan_to_num(flights[:, keep], nan=np.inf)) <= limits
         passed = np.all(inside, axis=1).sum(axis=0)
         chances[counted] = [Chance.of(int(k), len(flights)) for k in passed]
@@ -579,18 +385,172 @@ def _judged(
     for c, output in enumerate(outputs):
         beside = RecordBeside(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
         by = {counted: each[c] for counted, each in chances.items()}
-        shown = None if case.kind is FlightKind.NEXT else beside
-        tests.append(Test(case.kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
+        shown = None if kind is FlightKind.NEXT else beside
+        tests.append(Test(kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
         if tests[-1].chance.verdict is ToleranceVerdict.UNDECIDED:
             parts = by_parameters[:, keep, c], rest[:, keep, c]
-            still.append(OpenTest(case.kind, name, output, bands[output], *parts))
+            still.append(OpenTest(kind, name, output, bands[output], *parts))
     record, index = alone.flights, alone.index[0][keep]
     measured = {n: np.asarray(record.channels[n])[index] for n in outputs}
     simulated = {n: measured[n] - error[keep, c] for c, n in enumerate(outputs)}
     ends = np.quantile(np.nan_to_num(flights[:, keep], posinf=FAR, neginf=-FAR), CENTRAL, axis=0)
     low, high = ({n: simulated[n] + x[:, c] for c, n in enumerate(outputs)} for x in ends)
-    strip = Strip(case.kind, name, np.asarray(record.time)[index], measured, simulated, low, high)
+    strip = Strip(kind, name, np.asarray(record.time)[index], measured, simulated, low, high)
     return tests, strip, still
+
+
+# --- Flights that would decide tolerances: what more records make of the parameters, and so of the probability to
+# pass.
+# A record narrows the distribution of the parameters. A flight departs from the simulation in proportion to their
+# errors, so that its part by the parameters shrinks with them, and errors of the structure and gusts stay. A
+# tolerance that stays undecided with known parameters is decided by no record: the model must become better. It is
+# assumed that the estimates do not move.
+
+KEPT = 1e-10  # of the largest eigenvalue of a scaled covariance: directions below it are known
+
+
+def further_flights(
+    tests: Sequence[OpenTest],
+    names: Sequence[str],
+    errors: Float[np.ndarray, "m k"],
+    flights: Flights,
+    model: Model,
+    values: Mapping[str, float],
+    envelope: Envelope,
+) -> Further:
+    """Test points for the undecided tolerances, inside the envelope; `errors` of the drawn parameters `names`."""
+    scale = np.std(errors, axis=0)
+    moving = np.flatnonzero(scale > 0.0)
+    names, errors = [names[int(k)] for k in moving], errors[:, moving] / scale[moving]
+    slopes = [test.slope(errors) for test in tests]
+    known = [test.probability(-errors @ slope) for test, slope in zip(tests, slopes, strict=True)]
+    useful = [k for k, chance in enumerate(known) if not FAILS_TO < chance < PASSES_FROM]
+    first = np.cov(errors, rowvar=False).reshape(len(names), len(names))
+    worst = np.array([slopes[k][:, tests[k].worst] for k in useful]).reshape(-1, len(names))
+    worst = worst[np.einsum("ti,ij,tj->t", worst, first, worst) > 0.0]
+
+    def nats(information: Float[np.ndarray, "k k"]) -> float:
+        before, after = (np.einsum("ti,ij,tj->t", worst, C, worst) for C in (first, _after(first, information)))
+        return 0.5 * float(np.sum(np.log(before / np.maximum(after, 1e-300))))
+
+    def expected(information: Float[np.ndarray, "k k"]) -> tuple[float, ...]:
+        change = shrunk(errors, first, information) - errors
+        return tuple(test.probability(change @ slope) for test, slope in zip(tests, slopes, strict=True))
+
+    def decided(information: Float[np.ndarray, "k k"]) -> bool:
+        chances = expected(information)
+        return all(not FAILS_TO < chances[k] < PASSES_FROM for k in useful)
+
+    points, refused = (), {}
+    if useful:
+        missing = [n for n in required_of(model.axes) if n not in flights.channels]
+        if missing:
+            raise InputError(f"test points are judged by coefficients, and {missing[0]} was not recorded")
+        full = CandidateModel(model, tuple(e.name for e in model.effects if e.parameters), (), {})
+        state = linearised(full, EquationError.of(flights, model), model.coefficients, full.vector(values))
+        variants = variants_of(state, (), envelope)
+        possible = [
+            point._replace(information=precision_of(point.information, names, scale[moving]))
+            for point in possible_points(state, variants, (), noise_of(state), envelope)
+        ]
+        refused = refused_points(variants, envelope)
+        points = best_points(possible, np.zeros_like(first), nats=nats, expected=expected, decided=decided)
+    present = [test.probability() for test in tests]
+    questions = [OpenTolerance(t.kind, t.manoeuvre, t.output, *x) for t, *x in zip(tests, present, known, strict=True)]
+    return Further(tuple(questions), tuple(points), refused)
+
+
+def _after(first: Float[np.ndarray, "k k"], information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    return first - first @ information @ np.linalg.solve(np.eye(len(first)) + first @ information, first)
+
+
+def shrunk(errors: np.ndarray, first: np.ndarray, information: np.ndarray) -> Float[np.ndarray, "m k"]:
+    """Errors of covariance `first` as they are once this information is added."""
+
+    def root(covariance: np.ndarray) -> np.ndarray:
+        size, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+        return (vectors * np.sqrt(np.where(size > KEPT * max(size[-1], 0.0), size, 0.0))) @ vectors.T
+
+    return errors @ np.linalg.pinv(root(first)) @ root(_after(first, information))
+
+
+def precision_of(information: Information, names: Sequence[str], scale: Vector) -> Float[np.ndarray, "j j"]:
+    """Of a record by itself on scaled parameters, under coloured noise: I M^-1 I."""
+    at = [k for k, label in enumerate(information.labels) if label in names]
+    place = [list(names).index(information.labels[k]) for k in at]
+    unit = np.outer(scale[place], scale[place])
+    matrix, score = (x[np.ix_(at, at)] * unit for x in (information.matrix, information.score_variance))
+    whole = np.zeros((len(names), len(names)))
+    whole[np.ix_(place, place)] = matrix @ np.linalg.pinv(score, rcond=KEPT, hermitian=True) @ matrix
+    return whole
+
+
+# --- The same model fitted to all manoeuvres but one, and to each by itself: hold-out errors, and the next flight.
+
+USABLE = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
+NEGLIGIBLE = 1e-8  # eigenvalue of an information matrix over its largest
+
+
+def fits_without(fit: OutputErrorResult, noise: FlightNoise) -> list[OutputErrorResult]:
+    """For each manoeuvre the fit to all others."""
+    candidate = CandidateFit("qualified", fit)
+    silent = {candidate.name: {k: {} for k in range(len(fit.flown.index))}}
+    return [fit_without for _, fit_without in left_out([candidate], silent, noise)]
+
+
+def hold_out(
+    wide: SegmentTrajectories, fits: Sequence[OutputErrorResult], inflation: float, seed: int
+) -> HoldOut | None:
+    """Errors of every manoeuvre by the fit without it; None where one of these fits cannot fly it."""
+    unseen, explained = [], []
+    for k, fit in enumerate(fits):
+        alone = wide.part([k])
+        error, _, sound = errors(alone, fit.estimate)
+        if not sound[0]:
+            return None
+        draws = posterior_draws(fit, inflation, seed, DRAWS)
+        unseen.append(error[0])
+        explained.append(mean_square(spread(alone, fit.estimate, draws)[:, alone.inside[0]]))
+    return HoldOut(np.stack(unseen), np.average(explained, axis=0, weights=wide.inside.sum(axis=1)))
+
+
+def mean_square(apart: Float[np.ndarray, "m n c"]) -> Float[np.ndarray, " c"]:
+    """Of the flights that stay in the envelope; infinite where none does."""
+    sound = np.all(np.isfinite(apart), axis=(1, 2))
+    return np.mean(apart[sound] ** 2, axis=(0, 1)) if sound.any() else np.full(apart.shape[2], math.inf)
+
+
+def alone_fits(fit: OutputErrorResult, without: Sequence[OutputErrorResult], inflation: float):
+    """Every manoeuvre fitted by itself; of two, the fit without the other."""
+    count = len(fit.flown.index)
+    if count == 2:
+        return [without[1], without[0]]
+    options = {"start": fit.estimate, "prior_weight": inflation}
+    return [fit_output_error(masked(fit.flown, k, keep=True), **options) for k in range(count)]
+
+
+def next_parameters(
+    alone: Sequence[OutputErrorResult], inflation: float, count: int, seed: int, progress: Progress | None = None
+) -> Float[np.ndarray, "m k"] | None:
+    """Draws of the parameters of a flight not yet flown, by partial pooling; None with fewer than two usable fits."""
+    usable = [fit for fit in alone if fit.status in USABLE]
+    if len(usable) < 2:
+        return None
+    parameters, y, informations = usable[0].parameters, [], []
+    for fit in usable:  # the maximum of its likelihood and its information in units of the priors; none at a bound
+        unit = np.array([float(prior_unit(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
+        mean = np.array([p.prior.normal[0] for p in parameters])
+        free = np.array([p.name not in fit.at_bound for p in parameters], float)
+        information = fit.information * np.outer(unit * free, unit * free) / inflation
+        pulled = fit.priors.precision * unit**2 / inflation * (fit.estimate - mean) / unit * free
+        at = np.array([float(to_prior_units(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
+        y.append(at + np.linalg.pinv(information, rcond=NEGLIGIBLE, hermitian=True) @ pulled)
+        informations.append(information)
+    hierarchy = Hierarchy.of([p.name for p in parameters], np.stack(y), np.stack(informations))
+    following = pool(hierarchy, seed=seed, progress=progress)[0].following.reshape(-1, len(parameters))
+    kept = np.random.default_rng([seed, 11]).choice(len(following), count, replace=len(following) < count)
+    drawn = np.stack([from_prior_units(p.prior, following[kept, i]) for i, p in enumerate(parameters)], axis=1)
+    return np.clip(drawn, *np.array([p.bounds for p in parameters], float).T)
 
 
 # --- The flown region: the convex hull of flown samples, and how far another motion lies outside.

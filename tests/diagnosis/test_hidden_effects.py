@@ -240,8 +240,8 @@ def test_the_gain_is_the_bayes_factor_under_the_other_fold_s_posterior():
         expected += before - after
     found = 0.0
     for fold in (0, 1):
-        with_it = integrated_deviance(products, fold, (np.array([0, 1]), nothing), prior, 1.0)
-        found += integrated_deviance(products, fold, (nothing, nothing), prior, 1.0) - with_it
+        with_it = integrated_deviance(products, prior, 1.0, fold, np.array([0, 1]), nothing)
+        found += integrated_deviance(products, prior, 1.0, fold, nothing, nothing) - with_it
     assert found == pytest.approx(expected, rel=0.02)
 
 
