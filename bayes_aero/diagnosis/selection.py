@@ -765,7 +765,7 @@ def integrated_deviance(
     columns: np.ndarray,
     card: np.ndarray,
 ) -> float:
-    """Deviance of a fold by these columns, those beyond the card's integrated out over their posterior from the rest."""
+    """Deviance of a fold by these columns, those beyond the card's integrated out over their posterior elsewhere."""
     others, at = products.without(fold).fit(columns, *prior), np.flatnonzero(~np.isin(columns, card))
     precision_elsewhere = 1.0 / np.diag(inverse(others.normal))[at]
     mean, precision = (x.copy() for x in prior)
