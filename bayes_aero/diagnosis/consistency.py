@@ -524,7 +524,7 @@ def path_check(path: _RecordedPath) -> PathCheck:
     for c, name in enumerate(path.outputs):  # windows that touch make one departure, many the whole record
         ratio = recorded[:, c] / permitted[:, c]
         over = recorded[:, c] > permitted[:, c]
-        chosen = [list(run) for exceeds, run in groupby(range(2, len(ratio)), lambda i: bool(over[i])) if exceeds]
+        chosen = [list(run) for exceeds, run in groupby(range(2, len(ratio)), over.__getitem__) if exceeds]
         if not chosen or over[2:].sum() > SPREAD * len(path.windows):
             chosen = [[int(np.argmax(ratio[:2]))]] if over[:2].any() else chosen
         for run in chosen:
