@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linprog
 
-from bayes_aero.diagnosis.design import noise_of
 from bayes_aero.diagnosis.result import Absorbed, CancellingPair, Confirmation, Size
 from bayes_aero.diagnosis.screening import (
     CandidateScore,
@@ -41,6 +40,7 @@ from bayes_aero.diagnosis.selection_state import (
     refitted,
 )
 from bayes_aero.effect import Effect, Stage
+from bayes_aero.flight.health import noise_of
 from bayes_aero.inference.covariance import log_density, log_score_gain, log_score_gains, median_inflation, nats
 from bayes_aero.inference.results import Scores, score
 from bayes_aero.model.records import Flights
