@@ -15,7 +15,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.reading import RecordReport
 from bayes_aero.inference.results import COLOURED_INNOVATIONS, FrequencyFit, FrequencyResponse, OneStep, Scores, Stall
-from bayes_aero.parameter import Parameter
+from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.aircraft import Aircraft
 
 # With what a model is compared: kinematics alone, which knows sensors and winds, or the model itself.
@@ -320,6 +320,7 @@ class FoundTerm:
 # --- Simulated trajectories: errors by flight, estimates, tests of effects, a fit by itself.
 
 START, FITTED = "start", "fitted"
+WINDOW = 12.0  # s, of the first fits
 
 
 @dataclass(frozen=True)
@@ -437,6 +438,8 @@ class Setting:
     initial: Mapping[str, float] | None = None
     priors: bool = True  # of the reported fit, of parameters and initial states alike
     held: bool = False  # inputs between samples; else they are linear
+    window: float = WINDOW
+    biases: Mapping[str, Prior] = field(default_factory=dict)  # outputs recorded with a constant error, fitted, too
 
 
 @dataclass(frozen=True)
@@ -451,7 +454,6 @@ class TrajectoryFit:
         variance_inflation: variance inflation of the residuals; NaN if the model left the envelope.
         outputs: all recorded outputs; those fitted are in `fit`.
         units: SI units by channel.
-        window: length of the windows of the first fits, s.
         noise_growth: noise growth in fully separated flow, by fitted output.
         setting: settings of the fit.
         frequency: fits of the same parameters in a band, where one was asked for.
@@ -469,7 +471,6 @@ class TrajectoryFit:
     variance_inflation: float
     outputs: tuple[str, ...]
     units: Mapping[str, str]
-    window: float
     noise_growth: Mapping[str, float] = field(default_factory=dict)
     setting: Setting = field(default_factory=Setting)
     frequency: tuple[FrequencyFit, ...] = ()
@@ -478,6 +479,11 @@ class TrajectoryFit:
     by_effects: bool = True
     of_path: bool = False
     departure_sd: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def window(self) -> float:
+        """Length of the windows of the first fits, s."""
+        return self.setting.window
 
     @property
     def converged(self) -> bool:

@@ -10,8 +10,10 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from threading import Event
+from types import MappingProxyType
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,6 +26,7 @@ from bayes_aero.diagnosis.result import (
     FITTED,
     HALF,
     START,
+    WINDOW,
     Confirmation,
     Diagnosis,
     Disagreement,
@@ -44,7 +47,14 @@ from bayes_aero.diagnosis.result import (
     verdict_of,
 )
 from bayes_aero.diagnosis.selection import Extension, LeftOut, backward_elimination, large, normal_draws
-from bayes_aero.diagnosis.selection_state import DEFAULT, CandidateModel, DiagnosisSettings, finite, lag_of, manoeuvres
+from bayes_aero.diagnosis.selection_state import (
+    DEFAULT,
+    CandidateModel,
+    DiagnosisSettings,
+    by_manoeuvre,
+    finite,
+    lag_of,
+)
 from bayes_aero.dynamics.flight import (
     AircraftDynamics,
     Dynamics,
@@ -69,7 +79,6 @@ from bayes_aero.inference.output_error import (
     THINNING,
     NormalEquations,
     OutputErrorResult,
-    Point,
     SeparatedFlow,
     fit_cascade,
     fit_output_error,
@@ -93,6 +102,7 @@ from bayes_aero.physics.aircraft import altitude_of_density
 from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
 
+Vector = Float[np.ndarray, " k"]
 DRAWS = 40  # of the posterior, for the probability of staying inside the tolerances
 GIVEN = "given"
 
@@ -106,7 +116,7 @@ def label(flown: SegmentTrajectories, row: int) -> str:
 
 
 def simulated(
-    estimate: Float[np.ndarray, " k"],
+    estimate: Vector,
     flown: SegmentTrajectories,
     model: str,
     split: str,
@@ -115,30 +125,20 @@ def simulated(
     draws: Float[np.ndarray, "m k"] | None = None,
 ) -> list[SimulatedManoeuvre]:
     """Every segment of `flown` that counts, with these parameters; with `draws` the chance to stay inside."""
-    shown, every = one_by_one(flown, jnp.asarray(estimate), jnp.asarray(departure))
-    paths = []
+    (shown, every), paths = one_by_one(flown, jnp.asarray(estimate), jnp.asarray(departure)), []
     for row, trajectory in every.items():
         keep = flown.inside[row]
         measured, residual = np.asarray(trajectory.measured[0])[keep], np.asarray(trajectory.residual[0])[keep]
         chance = {} if draws is None else _probabilities(replace(flown, outputs=shown).part([row]), draws, tolerances)
         errors = {}
         for name, z, e in zip(shown, measured.T, residual.T, strict=True):
-            tolerance, size = tolerances.get(name), np.abs(e)
+            tolerance, size, rms = tolerances.get(name), np.abs(e), float(np.sqrt(np.mean(e**2)))
             within = None if tolerance is None else float(np.mean(size <= tolerance))
-            rms, parts = float(np.sqrt(np.mean(e**2))), theil_parts(z, z - e)
-            errors[name] = Error(rms, float(size.max()), parts, tolerance, within, chance.get(name))
-        paths.append(
-            SimulatedManoeuvre(
-                manoeuvre=label(flown, row),
-                model=model,
-                split=split,
-                inside=bool(np.asarray(trajectory.trajectory.inside[0])[keep].all()),
-                errors=errors,
-                time=flown.flights.time[flown.index[row][keep]],
-                measured={name: measured[:, c] for c, name in enumerate(shown)},
-                simulated={name: measured[:, c] - residual[:, c] for c, name in enumerate(shown)},
-            )
-        )
+            errors[name] = Error(rms, float(size.max()), theil_parts(z, z - e), tolerance, within, chance.get(name))
+        histories = ({n: x[:, c] for c, n in enumerate(shown)} for x in (measured, measured - residual))
+        inside = bool(np.asarray(trajectory.trajectory.inside[0])[keep].all())
+        time = flown.flights.time[flown.index[row][keep]]
+        paths.append(SimulatedManoeuvre(label(flown, row), model, split, inside, errors, time, *histories))
     return paths
 
 
@@ -165,9 +165,8 @@ def _probabilities(
         return np.where(inside & np.isfinite(size), size, np.inf)
 
     with ThreadPoolExecutor(cores()) as pool:
-        sizes = np.stack(list(pool.map(largest, draws)))
-    toleranced = [(c, name) for c, name in enumerate(alone.outputs) if name in tolerances]
-    return {name: float(np.mean(sizes[:, c] <= tolerances[name])) for c, name in toleranced}
+        sizes = dict(zip(alone.outputs, np.stack(list(pool.map(largest, draws))).T, strict=True))
+    return {n: float(np.mean(size <= tolerances[n])) for n, size in sizes.items() if n in tolerances}
 
 
 def fly_given(
@@ -200,9 +199,8 @@ def with_process_noise(
     inside = fit.flown.inside
     of_noise = int(inside.sum()) * float(np.sum(np.log(2.0 * np.pi * fit.R) + 1.0))
     still = -0.5 * of_noise - float(np.log(fit.flown.noise_growth[inside]).sum())
-    estimates = {
-        n: (float(x), float(s)) for n, x, s in zip(filtered.names, filtered.estimate, filtered.sd, strict=True)
-    }
+    pairs = zip(map(float, filtered.estimate), map(float, filtered.sd), strict=True)
+    estimates = dict(zip(filtered.names, pairs, strict=True))
     own = set(fit.flown.dynamics.names) - gusty.dynamics.disturbance_parameters
     converged, predicted = filtered.status is PredictionErrorStatus.CONVERGED, None
     if converged:
@@ -210,17 +208,17 @@ def with_process_noise(
         predicted = one_step(filtered.found, errors, filtered.outputs)
     theirs = [i for i, name in enumerate(filtered.names) if name in own]
     noise = ProcessNoise(
-        filtered.status.value,
-        converged,
-        filtered.log_likelihood - still,
-        {name: value for name, value in estimates.items() if name in own},
-        {n: float(x) for n, x in zip(filtered.states, filtered.F, strict=True) if n in fit.flown.dynamics.start},
-        dict(zip(filtered.outputs, map(float, np.sqrt(filtered.R)), strict=True)),
-        dict(zip(filtered.outputs, map(float, neighbour_correlation(filtered.found)), strict=True)),
-        {name: value for name, value in estimates.items() if name not in own},
-        _histories(gusty, filtered),
-        predicted,
-        filtered.covariance[np.ix_(theirs, theirs)],
+        status=filtered.status.value,
+        converged=converged,
+        gain=filtered.log_likelihood - still,
+        estimates={name: value for name, value in estimates.items() if name in own},
+        F={n: float(x) for n, x in zip(filtered.states, filtered.F, strict=True) if n in fit.flown.dynamics.start},
+        noise_sd=dict(zip(filtered.outputs, map(float, np.sqrt(filtered.R)), strict=True)),
+        autocorrelation=dict(zip(filtered.outputs, map(float, neighbour_correlation(filtered.found)), strict=True)),
+        gusts={name: value for name, value in estimates.items() if name not in own},
+        histories=_histories(gusty, filtered),
+        one_step=predicted,
+        covariance=filtered.covariance[np.ix_(theirs, theirs)],
     )
     return noise, sample
 
@@ -236,15 +234,12 @@ def _histories(gusty: SegmentTrajectories, filtered: PredictionErrorResult) -> t
     met = {d.state: dynamics.states.index(d.state) for d in processes if values.get(d.intensity, 0.0) > 0.0}
     if not met:
         return ()
-    x, P = (np.asarray(y) for y in _smoothed(filtered.found))
-    flights, histories = gusty.flights, []
+    (x, P), flights, histories = (np.asarray(y) for y in _smoothed(filtered.found)), gusty.flights, []
     for number in np.unique(gusty.manoeuvre):
         parts = [(k, gusty.inside[k]) for k in np.flatnonzero(gusty.manoeuvre == number)]
         time = np.concatenate([np.asarray(flights.time)[gusty.index[k][real]] for k, real in parts])
-        gusts = {}
-        for name, i in met.items():
-            variance = np.concatenate([P[k, real, i, i] for k, real in parts])
-            gusts[name] = np.concatenate([x[k, real, i] for k, real in parts]), np.sqrt(np.maximum(variance, 0.0))
+        mean, variance = (np.concatenate([y[k, real] for k, real in parts]) for y in (x, P))
+        gusts = {name: (mean[:, i], np.sqrt(np.maximum(variance[:, i, i], 0.0))) for name, i in met.items()}
         histories.append(GustHistory(flights.names[number], time - time[0], gusts))
     return tuple(histories)
 
@@ -425,8 +420,7 @@ def confirmed(lag: LagTest, without: LeftOut, lagged: LeftOut, hold_out: float =
 # and what is superfluous harms there first.
 
 
-@dataclass(frozen=True)
-class Elimination:
+class Elimination(NamedTuple):
     """The contender with what flight misses, its fits to all segments but one each, and by what each is missed."""
 
     contender: CandidateFit
@@ -444,72 +438,68 @@ def eliminate(
     settings: DiagnosisSettings = DEFAULT,
 ) -> Elimination:
     """Test each of `causes` on hold-out flights; one with `silent` parameters is not tested and stays."""
-    unheard = {name for held in silent.values() for name in held}
+    unheard, fit, inflation = (
+        {name for held in silent.values() for name in held},
+        contender.fit,
+        noise.variance_inflation,
+    )
     neutral = {e.name: e.neutral_values for e in causes if not unheard & set(e.neutral_values)}
-    flight = HeldOutFlights(contender, neutral, silent, noise, {tuple(neutral): fits})
-    if not flight.refitted(tuple(neutral)).flyable:  # what cannot be flown is no measure of anything
+    made = {tuple(neutral): fits}
+
+    def absent(effects: Sequence[str]) -> dict[str, float]:
+        return {name: x for e, values in neutral.items() if e not in effects for name, x in values.items()}
+
+    def without(effects: Sequence[str]) -> CandidateFit:
+        """The contender, of what is asked only `effects` in."""
+        held = {name: finite(x) for name, x in absent(effects).items()}
+        return replace(contender, held={**contender.held, **held})
+
+    def refitted(effects: Sequence[str]) -> LeftOut:
+        """Every segment flown by a fit to the others."""
+        key, less = tuple(effects), without(effects)
+        if key not in made:
+            made[key] = [fit for _, fit in left_out([less], {less.name: silent}, noise)]
+        return left_out_of(holdout_fits(less, made[key], {}), fit.flown, inflation)
+
+    if not refitted(tuple(neutral)).flyable:  # what cannot be flown is no measure of anything
         return Elimination(contender, fits, Confirmation((), {}))
-    confirmation = backward_elimination(tuple(neutral), flight.first_order, flight.refitted, settings)
-    less = flight.without(confirmation.kept)
+    near = _FirstOrder(contender, silent, inflation)
+    confirmation = backward_elimination(tuple(neutral), lambda e: near.left_out(absent(e)), refitted, settings)
+    less = without(confirmation.kept)
     gone = frozenset(less.held) - frozenset(contender.held)
     if not gone:
         return Elimination(contender, fits, confirmation)
-    fit = contender.fit
-    again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=noise.variance_inflation)
-    return Elimination(replace(less, fit=again), flight.fits[confirmation.kept], confirmation, gone)
+    again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=inflation)
+    return Elimination(replace(less, fit=again), made[confirmation.kept], confirmation, gone)
 
 
-@dataclass(frozen=True)
-class HeldOutFlights:
-    """Segments as a contender with some of its causes flies them, unseen."""
+class _FirstOrder:
+    """Segments by fits to the others that are linear in the parameters; those at a bound stay there."""
 
-    contender: CandidateFit
-    neutral: Mapping[str, Mapping[str, float]]  # parameters of the causes that are asked, by cause
-    silent: Mapping[int, Mapping[str, float]]
-    noise: FlightNoise
-    fits: dict[tuple[str, ...], Sequence[OutputErrorResult]]  # kept by the causes that are in
+    def __init__(
+        self, contender: CandidateFit, silent: Mapping[int, Mapping[str, float]], variance_inflation: float
+    ) -> None:
+        fit = contender.fit
+        equations, still = NormalEquations(fit.flown, fit.priors), np.zeros_like(fit.departure)
+        # At the optimum, with the fitted initial states, and with the measured ones.
+        fitted, measured = (equations.evaluate(fit.estimate, begin) for begin in (fit.departure, still))
+        self.A, self.g, _ = segment_equations(fitted, fit.priors)
+        self.columns, self.inflation = np.concatenate(measured.products.columns), variance_inflation
+        self.contender, self.silent = contender, silent
 
-    def without(self, effects: Sequence[str]) -> CandidateFit:
-        """The contender, of what is asked only `effects` in."""
-        gone = {name: finite(x) for name, x in self._gone(effects).items()}
-        return replace(self.contender, held={**self.contender.held, **gone})
-
-    def _gone(self, effects: Sequence[str]) -> dict[str, float]:
-        return {name: x for e, values in self.neutral.items() if e not in effects for name, x in values.items()}
-
-    @cached_property
-    def equations_at_optimum(self) -> tuple[Point, Point]:
-        """The normal equations at the optimum: with the fitted initial states, and with the measured ones."""
-        fit = self.contender.fit
-        equations, measured = NormalEquations(fit.flown, fit.priors), np.zeros_like(fit.departure)
-        return equations.evaluate(fit.estimate, fit.departure), equations.evaluate(fit.estimate, measured)
-
-    def first_order(self, effects: Sequence[str]) -> LeftOut:
-        """Residuals linear in the parameters where all segments are fitted; parameters at a bound stay there."""
-        fit, (fitted, measured) = self.contender.fit, self.equations_at_optimum
-        A, g, _ = segment_equations(fitted, fit.priors)
-        columns = np.concatenate(measured.products.columns)
-        left = []
+    def left_out(self, absent: Mapping[str, float]) -> LeftOut:
+        fit, left = self.contender.fit, []
         for k, inside in enumerate(fit.flown.inside):
-            others = np.arange(len(A)) != k
-            information = A[others].sum(axis=0) + np.diag(fit.priors.precision)
-            gradient = g[others].sum(axis=0) - fit.priors.precision * (fit.estimate - fit.priors.mean)
-            held = {**dict.fromkeys(fit.at_bound), **self.silent[k], **self.contender.held, **self._gone(effects)}
-            stated = {n: x for n, x in held.items() if x is not None}
+            others = np.arange(len(self.A)) != k
+            information = self.A[others].sum(axis=0) + np.diag(fit.priors.precision)
+            gradient = self.g[others].sum(axis=0) - fit.priors.precision * (fit.estimate - fit.priors.mean)
+            stated = {**self.silent[k], **self.contender.held, **absent}
             away = {n: -departure(x, stated[n]) for n, x in zip(fit.names, fit.estimate, strict=True) if n in stated}
             step = np.array([away.get(n, 0.0) for n in fit.names])
-            moving = np.array([n not in held for n in fit.names])
+            moving = np.array([n not in stated and n not in fit.at_bound for n in fit.names])
             step[moving] = solve(information[np.ix_(moving, moving)], (gradient - information @ step)[moving], 0.0)
-            left.append((columns[k, ..., 0] - columns[k, ..., 1 : 1 + len(step)] @ step)[inside])
-        return _left_out(left, fit.flown, self.noise.variance_inflation)
-
-    def refitted(self, effects: Sequence[str]) -> LeftOut:
-        """Every segment flown by a fit to the others."""
-        key, less = tuple(effects), self.without(effects)
-        if key not in self.fits:
-            self.fits[key] = [fit for _, fit in left_out([less], {less.name: self.silent}, self.noise)]
-        paths = holdout_fits(less, self.fits[key], {})
-        return left_out_of(paths, self.contender.fit.flown, self.noise.variance_inflation)
+            left.append((self.columns[k, ..., 0] - self.columns[k, ..., 1 : 1 + len(step)] @ step)[inside])
+        return _left_out(left, fit.flown, self.inflation)
 
 
 # --- Variance inflation of a fit to trajectories.
@@ -517,32 +507,32 @@ class HeldOutFlights:
 
 def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
     """Median variance inflation of the parameters, from Morelli and Klein's covariance of thinned means."""
-    flown, k = fit.flown, len(fit.estimate)
-    residual, S = fit.thinned_columns[..., 0], fit.thinned_columns[..., 1:]
+    k, residual, S = len(fit.estimate), fit.thinned_columns[..., 0], fit.thinned_columns[..., 1:]
     if fit.priors.fixed:
         S = S[..., :k]
-    m = S.shape[1]
-    inside = flown.inside[:, : m * THINNING].reshape(len(S), m, THINNING).all(axis=2)
-    w, n, c, wide = S.shape
-    whole = np.zeros((w, n, c, k + w * (wide - k)))
+    w, m, c, wide = S.shape
+    inside = fit.flown.inside[:, : m * THINNING].reshape(w, m, THINNING).all(axis=2)
+    whole = np.zeros((w, m, c, k + w * (wide - k)))
     whole[..., :k] = S[..., :k]
-    for row in range(w):
+    for row in range(w):  # every segment has its own initial state
         begin = k + row * (wide - k)
         whole[row, :, :, begin : begin + wide - k] = S[row, :, :, k:]
     keep = inside.ravel()
-    flat, r = whole.reshape(w * n, c, -1)[keep], residual.reshape(w * n, c)[keep]
-    start = np.concatenate([[True], np.diff(np.repeat(np.arange(w), n)[keep]) != 0])
+    flat, r, segment = (
+        whole.reshape(w * m, c, -1)[keep],
+        residual.reshape(w * m, c)[keep],
+        np.repeat(np.arange(w), m)[keep],
+    )
+    start = np.diff(segment, prepend=-1) != 0
     information = np.einsum("nci,c,ncj->ij", flat, 1.0 / fit.R, flat, optimize=True)
     used = np.diag(information) > 0.0
-    scale = np.sqrt(np.diag(information)[used])
-    D = np.linalg.pinv(information[np.ix_(used, used)] / np.outer(scale, scale), rcond=1e-10, hermitian=True)
-    D = D / np.outer(scale, scale)
-    corrected = corrected_covariance(D, flat[:, :, used], fit.R, r, np.repeat(np.arange(w), n)[keep], start)
+    scale = np.outer(*[np.sqrt(np.diag(information)[used])] * 2)
+    D = np.linalg.pinv(information[np.ix_(used, used)] / scale, rcond=1e-10, hermitian=True) / scale
+    corrected = corrected_covariance(D, flat[:, :, used], fit.R, r, segment, start)
     parameters = int(np.sum(used[:k]))
     return median_inflation(THINNING * variance_inflation(np.diag(corrected), np.diag(D))[:parameters])
 
 
-WINDOW = 12.0  # s, of the first fits
 FIRST_INFLATION = 30.0  # variance inflation that is assumed until it is measured
 LEFT = ("altitude",)  # reported, not fitted: it adds wind and pressure errors to what attitude and alpha tell already
 
@@ -635,7 +625,9 @@ def _contenders(
         lagged, lag = with_lag(wider, effect, extended, noise, flights, whole.settings)
         contenders += [lagged] if lag.gains else []
     tell("card's model", 0.3)
-    contenders.append(_card(diagnosis, _extended(whole.model, base), stages, added, extended, noise, side))
+    contenders.append(
+        _card(diagnosis, _extended(whole.model, base), stages, added, extended, noise.variance_inflation, side)
+    )
     return {c.name: c for c in contenders}, lag, noise
 
 
@@ -645,7 +637,7 @@ def _card(
     stages: list[SegmentTrajectories],
     added: Sequence[Effect],
     extended: CandidateFit,
-    noise: FlightNoise,
+    inflation: float,
     side: Callable[[Model, Mapping[str, float]], Side],
 ) -> CandidateFit:
     """The card's model, the causes at neutral; from its own start and from what the extended one shares with it."""
@@ -658,12 +650,12 @@ def _card(
         (stages, start), held = side(bare, before), {}
     fitted = dict(zip(extended.fit.names, extended.fit.estimate, strict=True))
     shared = np.array([fitted[name] for name in stages[-1].dynamics.names])
-    starts = [start, shared]  # a model with something missing may have several optima
-    fit = fit_cascade(stages, starts, held=held, prior_weight=noise.variance_inflation)
-    return CandidateFit("card", fit, held=held, weighed=False)  # what it misses is not confined to the stall
+    # A model with something missing may have several optima; what it misses is not confined to the stall.
+    fit = fit_cascade(stages, [start, shared], held=held, prior_weight=inflation)
+    return CandidateFit("card", fit, held=held, weighed=False)
 
 
-Side = tuple[list[SegmentTrajectories], Float[np.ndarray, " k"]]
+Side = tuple[list[SegmentTrajectories], Vector]
 """One model, cut for its fits (windows, then whole manoeuvres or the halves of a single one), and where it starts."""
 
 
@@ -693,31 +685,27 @@ def fit_trajectories(
     dynamics: Dynamics,
     units: Mapping[str, str],
     *,
-    starts: Sequence[Float[np.ndarray, " k"]] = (),
-    window: float = WINDOW,
-    tolerances: Mapping[str, float] | None = None,
-    biases: Mapping[str, Prior] | None = None,
-    setting: Setting | None = None,
+    starts: Sequence[Vector] = (),
+    tolerances: Mapping[str, float] = MappingProxyType({}),
+    setting: Setting = Setting(),
     progress: Progress | None = None,
 ) -> TrajectoryFit:
-    """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
+    """Fit windows from the parameters' own start and every one of `starts`, then whole manoeuvres.
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
     by the one and its samples by the other."""
-    setting = setting or Setting()
 
     def tell(text: str, share: float) -> None:
         if progress:
             progress(text, share)
 
     by_effects = isinstance(unbiased(dynamics), AircraftDynamics)
-    dynamics = biased_dynamics(dynamics, flights, biases or {})
+    dynamics = biased_dynamics(dynamics, flights, setting.biases)
     first = np.array([p.start for p in dynamics.free])
     starts = [np.append(s, first[len(s) :]) for s in starts]
     shown = tuple(name for name in dynamics.outputs if name in flights.channels)
-    compared = tuple(n for n in shown if not (by_effects and n in LEFT))
-    compared = compared if setting.outputs is None else setting.outputs
+    compared = setting.outputs or tuple(n for n in shown if not (by_effects and n in LEFT))
     options = {"outputs": compared, "substeps": dynamics.substeps(first, flights), "held": setting.held}
-    short = segments(flights, dynamics, window=window, **options)
+    short = segments(flights, dynamics, window=setting.window, **options)
     whole = segments(flights, dynamics, fixed=setting.initial, **options)
     stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
     tell("windows, then whole manoeuvres", 0.0)
@@ -731,32 +719,26 @@ def fit_trajectories(
         tell("autocorrelation of the residuals", 0.7)
         noise = FlightNoise.of(fit)
         inflation, noise_growth = noise.variance_inflation, noise.growth_by_output(whole.outputs)
-        whole = noise.on(whole)
-        weight = inflation if setting.priors else 0.0
+        whole, weight = noise.on(whole), inflation if setting.priors else 0.0
         fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
     tell("errors of the trajectories", 0.9)
-    bands, still = tolerances or {}, np.zeros_like(fit.departure)
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
-        paths = simulated(first, whole, START, START, still, bands)
-        paths += simulated(fit.estimate, whole, FITTED, FITTED, fit.departure, bands)
+        paths = simulated(first, whole, START, START, np.zeros_like(fit.departure), tolerances)
+        paths += simulated(fit.estimate, whole, FITTED, FITTED, fit.departure, tolerances)
     begins = zip(dynamics.start, map(float, initial_state_sd(dynamics)), strict=True)
     prior_sd = dict(begins) if setting.priors and setting.initial is None else {}
     return TrajectoryFit(
-        fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), window, noise_growth, setting,
-        by_effects=by_effects,
-        of_path=isinstance(dynamics, PathDynamics),
-        departure_sd=prior_sd,
+        fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), noise_growth, setting,
+        by_effects=by_effects, of_path=isinstance(dynamics, PathDynamics), departure_sd=prior_sd,
     )  # fmt: skip
 
 
 def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:
-    wide, theta = replace(fit.flown, outputs=shown), jnp.asarray(fit.estimate)
-    initial = {}
+    wide, theta, initial = replace(fit.flown, outputs=shown), jnp.asarray(fit.estimate), {}
     for row, away in enumerate(fit.departure):  # one by one as the paths, for which it is compiled already
-        alone = trajectories(wide.part([row]), theta, jnp.asarray(away[None]))
-        begin = np.asarray(alone.begin)[0]
-        named = zip(fit.flown.dynamics.start, begin, away, strict=True)
-        initial[label(fit.flown, row)] = {name: (float(at), float(by)) for name, at, by in named}
+        begin = trajectories(wide.part([row]), theta, jnp.asarray(away[None])).begin
+        pairs = zip(map(float, np.asarray(begin)[0]), map(float, away), strict=True)
+        initial[label(fit.flown, row)] = dict(zip(fit.flown.dynamics.start, pairs, strict=True))
     return initial
 
 
@@ -776,22 +758,18 @@ def with_tested(
 
 def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Card) -> dict[str, OutputMiss]:
     """What the extended model misses of every fitted output (root mean squares, SI), and the noise that is allowed."""
-    noises = [sensor_noise(channels_of(record, card), card)[0] for record in records]
-    lengths = [record.n for record in records]
+    noises, lengths = [sensor_noise(channels_of(record, card), card)[0] for record in records], [r.n for r in records]
 
     def rms(output: str, split: str) -> float:
         paths = [p for p in flown.paths if (p.model, p.split) == ("extended", split)]
         squares, samples = [p.errors[output].rms ** 2 for p in paths], [len(p.time) for p in paths]
         return float(np.sqrt(np.average(squares, weights=samples))) if paths else float("nan")
 
-    return {
-        name: OutputMiss(
-            noise=float(np.sqrt(np.average([n.get(name, 0.0) ** 2 for n in noises], weights=lengths))),
-            fitted=rms(name, "fitted"),
-            unseen=rms(name, "hold_out"),
-        )
-        for name in flown.fitted
-    }
+    misses = {}
+    for name in flown.fitted:
+        noise = float(np.sqrt(np.average([n.get(name, 0.0) ** 2 for n in noises], weights=lengths)))
+        misses[name] = OutputMiss(noise, rms(name, "fitted"), rms(name, "hold_out"))
+    return misses
 
 
 # --- The same parameters from the coefficients and from trajectories: where the two fits of one record disagree.
@@ -811,17 +789,15 @@ def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Di
         return ()
     fit, disagreements = flown.fit, []
     bound = {*coefficients.at_bound, *fit.at_bound, *fit.held_by_prior}
-    pairs = zip(coefficients.estimate, coefficients.crb_corrected, strict=True)
+    pairs = zip(map(float, coefficients.estimate), map(float, coefficients.crb_corrected), strict=True)
     by_coefficients = dict(zip(coefficients.names, pairs, strict=True))
-    for parameter, x, sd in zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True):
-        if parameter.name in bound or parameter.name not in by_coefficients:
-            continue
-        other, its = by_coefficients[parameter.name]
-        both = float(np.hypot(sd, its))
-        pairs = (float(other), float(its)), (float(x), float(sd))
-        if np.isfinite(both) and both > 0.0 and not _agree(*pairs):
-            apart = float(abs(x - other) / both)
-            disagreements.append(Disagreement(parameter.name, parameter.unit, *pairs, apart))
+    for parameter, x, sd in zip(fit.parameters, map(float, fit.estimate), map(float, fit.sd_corrected), strict=True):
+        if parameter.name not in bound and parameter.name in by_coefficients:
+            other = by_coefficients[parameter.name]
+            both = float(np.hypot(sd, other[1]))
+            if np.isfinite(both) and both > 0.0 and not _agree(other, (x, sd)):
+                apart = abs(x - other[0]) / both
+                disagreements.append(Disagreement(parameter.name, parameter.unit, other, (x, sd), apart))
     return tuple(sorted(disagreements, key=lambda d: -d.apart))
 
 
@@ -847,12 +823,10 @@ def steady_of(flights: Flights) -> Steady:
     def begin(name: str, otherwise: float) -> float:
         if name not in flights.channels:
             return otherwise
-        x, parts = np.asarray(flights.channels[name], float), []
-        for part in manoeuvres(flights.manoeuvre):
-            time = flights.time[part]
-            parts.append(np.median(x[part][time <= time[0] + BEGIN]))
-        return float(np.median(parts))
+        parts = zip(by_manoeuvre(np.asarray(flights.channels[name], float), flights), times, strict=True)
+        return float(np.median([np.median(x[time <= time[0] + BEGIN]) for x, time in parts]))
 
+    times = by_manoeuvre(flights.time, flights)
     density = begin("density", math.nan)
     altitude = altitude_of_density(density) if density > 0.0 else begin("altitude", 0.0)
     return Steady(begin("airspeed", 1.0), altitude, begin("alpha", 0.0))
@@ -864,31 +838,26 @@ def flown_modes(fit: OutputErrorResult, steady: Steady, filtered: ProcessNoise |
     dynamics, aircraft = unbiased(fit.flown.dynamics), fit.flown.flights.aircraft
     count = len(dynamics.free)
     theta, covariance = np.asarray(fit.estimate[:count]), np.asarray(fit.corrected)[:count, :count]
+    unknown = [k for k, p in enumerate(fit.parameters[:count]) if p.name in fit.undetermined]
     if filtered is not None:
-        order = [list(filtered.estimates).index(name) for name in dynamics.names]
+        order, unknown = [list(filtered.estimates).index(name) for name in dynamics.names], []
         theta = np.array([filtered.estimates[name][0] for name in dynamics.names])
         known = filtered.covariance
         covariance = np.zeros((count, count)) if known is None else known[np.ix_(order, order)]
     about_trim = modes(dynamics, dynamics.values(theta), aircraft, steady)
-    slopes = np.zeros((len(about_trim), 2, count))
-    scale = np.sqrt(np.diag(covariance))
-    open_ones = () if filtered is not None else fit.undetermined
-    unknown = [k for k, p in enumerate(fit.parameters[:count]) if p.name in open_ones]
+    slopes, scale = np.zeros((len(about_trim), 2, count)), np.sqrt(np.diag(covariance))
     scale[unknown] = np.maximum(np.abs(theta[unknown]), 1e-2)  # only whether it matters
     for k in np.flatnonzero(scale):
-        step = np.zeros(count)
-        step[k] = STEP * scale[k]
+        step = STEP * scale[k] * np.eye(count)[k]
         try:
-            ends = [modes(dynamics, dynamics.values(theta + sign * step), aircraft, steady) for sign in (1.0, -1.0)]
+            ends = [modes(dynamics, dynamics.values(x), aircraft, steady) for x in (theta + step, theta - step)]
         except InputError:
             slopes[:, :, k] = math.nan
             continue
-        near = [
-            [min((m.eigenvalue for m in end), key=lambda x: abs(x - mode.eigenvalue)) for end in ends]
-            for mode in about_trim
-        ]
-        change = np.array([plus - minus for plus, minus in near]) / (2.0 * step[k])
-        slopes[:, :, k] = np.stack([change.real, change.imag], axis=1)
+        for mode, slope in zip(about_trim, slopes, strict=True):
+            plus, minus = (min((m.eigenvalue for m in x), key=lambda y: abs(y - mode.eigenvalue)) for x in ends)
+            change = (plus - minus) / (2.0 * step[k])
+            slope[:, k] = change.real, change.imag
     moved = np.any(np.abs(slopes[:, :, unknown]) > 1e-9, axis=(1, 2))
     return tuple(
         flown_mode(mode.name, mode.eigenvalue, np.full((2, 2), np.inf) if lost else J @ covariance @ J.T)
@@ -925,19 +894,15 @@ def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 
     return FlownMode(name, eigenvalue, (sd_real, sd_imaginary), quantities)
 
 
-# --- Modes of motion of a fit to trajectories.
-
-
 def motion_of(flown: TrajectoryFit, beside: ProcessNoise | None = None) -> Motion | None:
     """Modes with standard errors; None without a model of the aircraft, and where the fit did not converge."""
     if flown.of_path or not flown.converged:
         return None
-    steady = steady_of(flown.fit.flown.flights)
-    modes_found, why_not = (), ""
+    steady, found, why_not = steady_of(flown.fit.flown.flights), (), ""
     filtered = beside if beside is not None and beside.preferred else None
     try:
-        modes_found = flown_modes(flown.fit, steady, filtered)
+        found = flown_modes(flown.fit, steady, filtered)
     except InputError as reason:
         why_not = str(reason)
     about = (steady.airspeed, steady.altitude) if flown.by_effects else (math.nan, math.nan)  # of linear cards
-    return Motion(*about, modes_found, why_not, filtered is not None)
+    return Motion(*about, found, why_not, filtered is not None)

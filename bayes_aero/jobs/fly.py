@@ -231,7 +231,14 @@ def setting_of(options: FlyOptions, card: Card) -> Setting:
     if options.outputs is not None:
         names = options.outputs.split(",") if isinstance(options.outputs, str) else options.outputs
         outputs = tuple(dict.fromkeys(name.strip() for name in names))
-    return Setting(outputs, None if options.initial_state == FREE else initial, options.priors, options.inputs == HELD)
+    return Setting(
+        outputs,
+        None if options.initial_state == FREE else initial,
+        options.priors,
+        options.inputs == HELD,
+        options.windows,
+        {} if options.flight_path else card.output_biases,
+    )
 
 
 def coefficient_fit(
@@ -277,9 +284,7 @@ def output_error_fit(
         dynamics,
         {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
         starts=starts,
-        window=options.windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
-        biases={} if options.flight_path else card.output_biases,
         setting=setting_of(options, card),
         progress=progress,
     )
