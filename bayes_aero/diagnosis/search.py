@@ -158,7 +158,7 @@ class Search:
         left, failures = attempted(
             "Unexplained structure was not sought",
             lambda: unexplained(both.aerodynamics, seed=self.seed + 2000),
-            Left((), ()),
+            Left(),
         )
         forms, failed = attempted(
             "The form of unexplained structure was not sought",

@@ -1,5 +1,5 @@
-"""Structure that no effect of the catalogue explains but that a recorded channel, a period or the change of a parameter
-does.
+"""Structure that no effect of the catalogue explains but that a recorded channel, a period, a parameter that changes or
+terms of a library do.
 
 A smooth function of each channel, a sinusoid, or the change, is a candidate like an effect. It is taken for real
 only if its score is beyond noise-only replicates and it predicts data left out.
@@ -7,9 +7,10 @@ only if its score is beyond noise-only replicates and it predicts data left out.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -40,7 +41,6 @@ from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm,
 from bayes_aero.diagnosis.screening import (
     CandidateScore,
     PartialledRegression,
-    ScreeningResult,
     SharedNoise,
     autocorrelation_of,
     chance_of,
@@ -68,38 +68,51 @@ from bayes_aero.inference.covariance import nats
 from bayes_aero.progress import Progress
 
 
-@dataclass(frozen=True)
-class Left:
+class Left(NamedTuple):
     """What the catalogue does not explain."""
 
-    unknown: tuple[UnexplainedStructure, ...]
-    replaced: tuple[str, ...]  # named causes that were only its proxies
+    unknown: tuple[UnexplainedStructure, ...] = ()
+    replaced: tuple[str, ...] = ()  # named causes that were only its proxies
     changes: tuple[ParameterChange, ...] = ()
     functions: tuple[Component, ...] = ()  # by which the structure was found
 
 
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
-    state, components = extension.state, list[FoundComponent]()
+    state, components, replaced = extension.state, list[FoundComponent](), extension.causes
     for number in range(max(state.settings.unnamed_most, len(state.outputs))):
         best = _best(state, [f.component for f in components], seed + number)
         if best is None:
             break
         components.append(best)
         state = best.state
+    chosen = [f.component for f in components]
     if components:
-        replaced = superfluous(state, extension.causes, [f.component for f in components])
-        over = {(f.component.coefficient, f.component.channel) for f in components}
+        replaced, over = superfluous(state, extension.causes, chosen), {(c.coefficient, c.channel) for c in chosen}
         lines = {n: term_of(state, n) for n in replaced}  # terms of a channel, of which a function of it has all
         line = {n for n, t in lines.items() if t and any((t.component.coefficient, x) in over for x in t.term.channels)}
-        return _left(extension, components, tuple(name for name in replaced if name not in line))
-    # A component, or the change of a parameter, that predicts unseen data clearly better than all named causes of the
-    # coefficients together: they were then stand-ins for something that is in no catalogue.
-    proxies = (_changing_in(extension, seed), _standing_in(extension)) if extension.causes else ()
-    margins = [proxy for proxy in proxies if proxy is not None]
-    if not margins:
-        return Left((), ())
-    return _left(extension, [max(margins, key=lambda margin: margin[0])[1]], extension.causes)
+        replaced = tuple(name for name in replaced if name not in line)
+    elif replaced:
+        # A component, or the change of a parameter, that predicts unseen data clearly better than all named causes of
+        # the coefficients together: they were then stand-ins for something that is in no catalogue.
+        margins = [x for x in (_changing_in(extension, seed), _standing_in(extension)) if x is not None]
+        components = [max(margins, key=lambda margin: margin[0])[1]] if margins else []
+        chosen = [f.component for f in components]
+    if not components:
+        return Left()
+    unknown, changes, last = [], [], extension.steps[-1] if extension.steps else None
+    bare = components[-1].state.without([name for name in replaced if name in components[-1].state.active])
+    election = None if last is None or last.chosen is not None else last.screening
+    for found in components:
+        if isinstance(found, FoundChange):
+            change = reported_change(bare, found, chosen, election)
+            if not (change.between and set(change.ambiguous_with) & _constants(bare)):
+                changes.append(change)
+        else:
+            of = found.component
+            unknown.append(UnexplainedStructure(of.coefficient, of.channel, found.share, found.p_value))
+    functions = tuple(found.component for found in components if not isinstance(found, FoundChange))
+    return Left(tuple(unknown), replaced, tuple(changes), functions)
 
 
 def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[UnexplainedStructure, ...]:
@@ -133,23 +146,6 @@ def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
     return state.offsets[first : first + width]
 
 
-def _left(extension: Extension, components: Sequence[FoundComponent], replaced: tuple[str, ...]) -> Left:
-    unknown, changes, chosen = [], [], [f.component for f in components]
-    bare = components[-1].state.without([name for name in replaced if name in components[-1].state.active])
-    last = extension.steps[-1] if extension.steps else None
-    election = None if last is None or last.chosen is not None else last.screening
-    for component in components:
-        if isinstance(component, FoundChange):
-            change = reported_change(bare, component, chosen, election)
-            if not (change.between and set(change.ambiguous_with) & _constants(bare)):
-                changes.append(change)
-        else:
-            of = component.component
-            unknown.append(UnexplainedStructure(of.coefficient, of.channel, component.share, component.p_value))
-    functions = tuple(component.component for component in components if not isinstance(component, FoundChange))
-    return Left(tuple(unknown), replaced, tuple(changes), functions)
-
-
 def _constants(state: SelectionState) -> set[str]:
     """Parameters of the model that are a constant of a coefficient with offsets between manoeuvres."""
     # What these explain as well is no change, for the drag due to lift follows an offset of the lift.
@@ -179,29 +175,28 @@ def withdrawn(extension: Extension, names: Sequence[str], sizes: Mapping[str, Si
 
 def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
     """The component, or change, that explains what is left beyond chance and predicts left-out data best."""
-    smooth, change = _best_function(state, chosen, seed), sought_change(state, chosen, seed=seed)
+    smooth = next(_functions(state, chosen, seed), None)
+    change = sought_change(state, chosen, seed=seed)
     if change is not None and (smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen)):
         return change
     return smooth
 
 
-def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
-    tried = state.settings.unnamed_tried
+def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) -> Iterator[FoundComponent]:
+    """Those beyond chance, family by family, the highest score first."""
+    tried, rate = state.settings.unnamed_tried, state.settings.unnamed_false_alarm_rate
     for folds, components, least in families(state):
-        batches, leaders = in_batches(state, components, folds), []
+        batches, leaders = in_batches(state, components, folds), list[tuple[float, Component]]()
         for batch in batches:
-            trials = state.with_components(batch, chosen, folds)
-            scores = screen(trials, trials.fit(), seed=seed, nulls=False).candidate_scores[:tried]
-            leaders += [(standing.score, next(c for c in batch if c.label == standing.effect)) for standing in scores]
-        leaders.sort(key=lambda leader: -leader[0])
-        for _, component in leaders[:tried]:
+            trials, by_label = state.with_components(batch, chosen, folds), {c.label: c for c in batch}
+            scores = screen(trials, trials.fit(), seed=seed).candidate_scores[:tried]
+            leaders += [(standing.score, by_label[standing.effect]) for standing in scores]
+        for _, component in sorted(leaders, key=lambda leader: -leader[0])[:tried]:
             trial = Trial(state, component, chosen, folds)
-            if trial.gain <= 0.0 or trial.share < least:
-                continue
-            p = trial.chance([state.with_components(batch, chosen, folds) for batch in batches], seed)
-            if p <= state.settings.unnamed_false_alarm_rate:
-                return FoundComponent(state, component, trial.share, p)
-    return None
+            if trial.gain > 0.0 and trial.share >= least:
+                p = trial.chance([state.with_components(batch, chosen, folds) for batch in batches], seed)
+                if p <= rate:
+                    yield FoundComponent(state, component, trial.share, p)
 
 
 def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent] | None:
@@ -210,15 +205,12 @@ def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent
     bare = state.without(extension.causes)
     if not testable(bare):
         return None
-    parts = parts_of(state, state.settings.change_parts)
-    products = Products.of(bare.residual / bare.noise_growth, bare.scaled, parts)
-    own = state.full.own_columns(*extension.causes)
-    of_causes = holdout_deviance_gain(replace(bare, products=products, folds=parts), np.append(bare.columns(), own))
+    parts, own = parts_of(state, state.settings.change_parts), state.full.own_columns(*extension.causes)
+    divided = replace(bare, products=Products.of(bare.residual / bare.noise_growth, bare.scaled, parts), folds=parts)
+    of_causes = holdout_deviance_gain(divided, np.append(bare.columns(), own))
     change = sought_change(bare, (), seed=seed, least=max(of_causes, 0.0))
-    if change is None:
-        return None
-    margin = _margin(state, change.gained, of_causes)
-    return (margin, change) if margin > 0.0 else None
+    margin = -math.inf if change is None else _margin(state, change.gained, of_causes)
+    return (margin, change) if change is not None and margin > 0.0 else None
 
 
 def _margin(state: SelectionState, gained: float, of_causes: float) -> float:
@@ -229,26 +221,22 @@ def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
     """The same of a function, of whose share a part must be left where the causes are in."""
     # A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts
     # less than a function of its own channel where the parameters of the model beside it extrapolate.
-    state = extension.state
+    state, best = extension.state, None
     own = state.full.own_columns(*state.active)
-    best = None
     parts = [(f, batch, least) for f, every, least in families(state) for batch in in_batches(state, every, f)]
     for folds, components, least in parts:
         trial = state.with_components(components, (), folds)
-        bare = trial.columns(())
+        bare, every = trial.columns(()), trial.component_columns
         products = trial.products.shifted(own, -state.departure[own])
         taken_out = replace(trial, products=products, active=())
         of_causes = holdout_deviance_gain(taken_out, np.concatenate([bare, own]), bare)
-        width = max(len(columns) for columns in trial.component_columns)
-        dummy = trial.S.shape[2] - 1
-        rows = [np.append(np.append(bare, c), np.full(width - len(c), dummy)) for c in trial.component_columns]
+        width, dummy = max(map(len, every)), trial.S.shape[2] - 1
+        rows = [np.concatenate([bare, c, np.full(width - len(c), dummy)]) for c in every]
         deviance = products.fit_many(np.array(rows, int), trial.mean, trial.precision)[3]
         for i in np.argsort(deviance)[: state.settings.unnamed_tried]:
-            columns = trial.component_columns[i]
-            gained = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
-            margin = _margin(state, gained, of_causes)
-            share = taken_out.share_of(columns)
-            left = trial.share_of(columns) if margin > 0.0 and share >= least else 0.0
+            gained = holdout_deviance_gain(taken_out, np.concatenate([bare, every[i]]), bare)
+            margin, share = _margin(state, gained, of_causes), taken_out.share_of(every[i])
+            left = trial.share_of(every[i]) if margin > 0.0 and share >= least else 0.0
             if left > 0.0 and left_beside(share, left, state.settings) and (best is None or margin > best[0]):
                 best = (margin, FoundComponent(state, components[i], share, float("nan")))
     return best
@@ -310,8 +298,7 @@ def terms_of_coefficient(
         if p > settings.unnamed_false_alarm_rate:
             break
         terms.append(replace(best, p_value=p))
-    terms = reconsidered(state, terms)
-    if not terms:
+    if not (terms := reconsidered(state, terms)):
         return []
 
     def gain(components: Sequence[Component]) -> float:
@@ -340,31 +327,15 @@ def leader(
 ) -> tuple[SelectedTerm, float, SelectionState]:
     """The best term beside those chosen, the nats that it explains, and the state in which the others stand."""
     labels = {c.component.label for c in chosen}
-    open_ones = [c for c in columns if c.component.label not in labels]
-    trial = state.with_components([c.component for c in open_ones], [c.component for c in chosen])
+    rest = [c for c in columns if c.component.label not in labels]
+    trial = state.with_components([c.component for c in rest], [c.component for c in chosen])
     fit = trial.fit()
-    order, lost, inflation = _ranked(trial, fit)
-    weights = weights_of(lost, [open_ones[j].term.cost for j in order])
-    equal = [i for i in range(len(order)) if lost[i] < state.settings.ambiguous]
-    first = max(equal, key=lambda i: weights[i])
-    others = [(open_ones[order[i]].term, float(weights[i])) for i in equal if i != first]
-    others.sort(key=lambda other: -other[1])
-    column = trial.component_columns[order[first]]
-    own = trial.wider(column)
-    explained = nats(fit.deviance - trial.fit(own).deviance, inflation)
-    term = SelectedTerm(
-        open_ones[order[first]], holdout_deviance_gain(trial, own), trial.share_of(column), inflation,
-        float(weights[first]), tuple(others), float("nan"), len(columns),
-    )  # fmt: skip
-    return term, explained, trial
-
-
-def _ranked(trial: SelectionState, fit: RegressionFit) -> tuple[list[int], Float[np.ndarray, " j"], float]:
-    """Terms that gain half of what the best does, by how many nats less each, and the best's variance inflation."""
-    projected = PartialledRegression(trial, fit, trial.component_columns)
-    place = np.array([p[0] for p in projected.place])
-    bread, right = np.array([b[0, 0] for b in projected.bread]), projected.right(trial.left(fit))[place]
-    n = float(trial.products.count.sum())
+    projected, n = PartialledRegression(trial, fit, trial.component_columns), float(trial.products.count.sum())
+    place, bread = (
+        np.array(x)
+        for x in zip(*((p[0], b[0, 0]) for p, b in zip(projected.place, projected.bread, strict=True)), strict=True)
+    )
+    right = projected.right(trial.left(fit))[place]
     gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
     order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
     best = trial.fit(trial.wider(trial.component_columns[order[0]]))
@@ -372,9 +343,20 @@ def _ranked(trial: SelectionState, fit: RegressionFit) -> tuple[list[int], Float
     # Two terms are told from each other by the residual along the difference of what they explain.
     made = projected.P[:, :, place[order]] * (bread * right)[order]
     apart = np.concatenate([made[:, :, :1], made[:, :, :1] - made[:, :, 1:]], axis=2)
-    inflation = inflation_along(apart, projected.weight, trial.folds, colour)
-    lost = [0.0, *(nats(gains[order[0]] - gains[j], x) for j, x in zip(order[1:], inflation[1:], strict=True))]
-    return order, np.array(lost), float(inflation[0])
+    along = inflation_along(apart, projected.weight, trial.folds, colour)
+    lost = np.array([0.0, *map(nats, gains[order[0]] - gains[order[1:]], along[1:])])
+    weights = weights_of(lost, [rest[j].term.cost for j in order])
+    equal = [i for i in range(len(order)) if lost[i] < state.settings.ambiguous]
+    first = max(equal, key=lambda i: weights[i])
+    others = sorted(((rest[order[i]].term, float(weights[i])) for i in equal if i != first), key=lambda x: -x[1])
+    column, inflation = trial.component_columns[order[first]], float(along[0])
+    own = trial.wider(column)
+    explained = nats(fit.deviance - trial.fit(own).deviance, inflation)
+    term = SelectedTerm(
+        rest[order[first]], holdout_deviance_gain(trial, own), trial.share_of(column), inflation,
+        float(weights[first]), tuple(others), float("nan"), len(columns),
+    )  # fmt: skip
+    return term, explained, trial
 
 
 def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.ndarray, " j"]:
@@ -390,29 +372,19 @@ def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[F
     fit = whole.fit()
     errors = jackknife_errors(whole, fit, state.responses.parts)
     deviation = np.maximum(np.sqrt(np.diag(uncertainty(whole, fit))), errors)
-    own = slice(len(fit.columns) - len(terms), None)
-    sizes = []
+    own, sizes = slice(len(fit.columns) - len(terms), None), []
     for term, size, sd in zip(terms, fit.step[own], deviation[own], strict=True):
         column, coefficient = term.column, term.column.component.coefficient
-        factor = float(size) / column.scale, float(sd) / column.scale
-        least = SWING[coefficient] / max(column.spread, 1e-12)
+        factor, least = (
+            (float(size) / column.scale, float(sd) / column.scale),
+            SWING[coefficient] / max(column.spread, 1e-12),
+        )
         gain = nats(term.gain, term.inflation)
         sizes.append(FoundTerm(coefficient, column.term, factor, term.share, gain, term.weight, term.others, least))
     return tuple(sizes)
 
 
 # --- Where a model meets the record in flight.
-
-
-class _Screened(NamedTuple):
-    """The terms of one coefficient that are not chosen, screened beside those that are."""
-
-    columns: Sequence[TermColumn]
-    state: SelectionState
-    screening: ScreeningResult
-
-    def column(self, standing: CandidateScore) -> TermColumn:
-        return next(c for c in self.columns if c.component.label == standing.effect)
 
 
 def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
@@ -437,18 +409,18 @@ def _next(
     state: SelectionState, library: Sequence[Sequence[TermColumn]], terms: Sequence[SelectedTerm], seed: int
 ) -> SelectedTerm | None:
     """The best term beside those found; None where none is beyond chance, large enough and useful."""
-    noise = SharedNoise(seed, state.folds, len(state.outputs), state.settings)
-    chosen, screened = [term.column for term in terms], []
+    settings, noise = state.settings, SharedNoise(seed, state.folds, len(state.outputs), state.settings)
+    chosen, among, leaders, gains = components_of(terms), 0, [], []
     for columns in library:
-        left = [c for c in columns if c not in chosen]
-        trial = state.with_components([c.component for c in left], components_of(terms))
-        screened.append(_Screened(left, trial, screen(trial, trial.fit(), noise=noise)))
-    tried, among = state.settings.candidates_tried, sum(len(part.columns) for part in screened)
-    leaders = [(part, standing) for part in screened for standing in part.screening.candidate_scores[:tried]]
-    for part, standing in sorted(leaders, key=lambda leader: -leader[1].score):
-        p = _chance(part.state, standing, among)
-        if p <= state.settings.unnamed_false_alarm_rate:
-            return _weighed(state, screened, components_of(terms), part.column(standing), p)
+        left = {c.component.label: c for c in columns if c not in [term.column for term in terms]}
+        trial = state.with_components([c.component for c in left.values()], chosen)
+        scores = screen(trial, trial.fit(), noise=noise).candidate_scores
+        among, gains = among + len(left), [*gains, *((left[s.effect], s.gain) for s in scores)]
+        leaders += [(s, left[s.effect], trial) for s in scores[: settings.candidates_tried]]
+    for standing, column, trial in sorted(leaders, key=lambda leader: -leader[0].score):
+        p = _chance(trial, standing, among)
+        if p <= settings.unnamed_false_alarm_rate:
+            return _weighed(state, gains, chosen, column, p)
     return None
 
 
@@ -470,31 +442,33 @@ def _chance(trial: SelectionState, standing: CandidateScore, among: int) -> floa
 
 
 def _weighed(
-    state: SelectionState, screened: Sequence[_Screened], chosen: Sequence[Component], first: TermColumn, p: float
+    state: SelectionState,
+    gains: Sequence[tuple[TermColumn, float]],
+    chosen: Sequence[Component],
+    first: TermColumn,
+    p: float,
 ) -> SelectedTerm:
     """The term of most weight among those, of any coefficient, that explain about as much as the leader `first`."""
-    gains = {t.column(s).component.label: (t.column(s), s.gain) for t in screened for s in t.screening.candidate_scores}
-    best = gains[first.component.label][1]
-    near = [(c, gain) for c, gain in gains.values() if gain >= NEAR * best]
-    near.sort(key=lambda pair: pair[0] is not first)  # the leader is the first
+    best = next(gain for column, gain in gains if column is first)
+    near = sorted(((c, x) for c, x in gains if x >= NEAR * best), key=lambda pair: pair[0] is not first)
     trial = state.with_components([c.component for c, _ in near], chosen)
     fit = trial.fit()
     colour = autocorrelation_of(trial.left(trial.fit(trial.wider(trial.component_columns[0]))), trial.folds)
     # What tells two of them apart is the residual along the difference of what they explain.
-    projected = PartialledRegression(trial, fit, trial.component_columns)
-    residual = trial.left(fit)
+    projected, residual = PartialledRegression(trial, fit, trial.component_columns), trial.left(fit)
     apart = projected.apart(residual, projected.estimates(residual), 0, colour, trial.responses.parts)
     lost = np.array([nats(best - gain, x) for (_, gain), x in zip(near, apart, strict=True)])
-    weights = weights_of(lost - lost.min(), [c.term.cost for c, _ in near])
-    close = np.flatnonzero(lost - lost.min() < state.settings.ambiguous)
+    lost -= lost.min()
+    weights = weights_of(lost, [c.term.cost for c, _ in near])
+    close = np.flatnonzero(lost < state.settings.ambiguous)
     rivals = sorted([(near[i][0], float(weights[i])) for i in close], key=lambda rival: -rival[1])
-    (column, weight), component = rivals[0], rivals[0][0].component
-    own = [rival for rival in rivals if rival[0].component.coefficient == component.coefficient]
-    one = Trial(state, component, chosen)
-    standing = screen(one.state, one.state.fit()).candidate_scores[0]
-    others = tuple((rival.term, x) for rival, x in own[1:])
-    elsewhere = tuple(c.component.label for c, _ in rivals if c.component.coefficient != component.coefficient)
-    return SelectedTerm(column, one.gain, one.share, standing.variance_inflation, weight, others, p, 1, elsewhere)
+    (column, weight), of = rivals[0], rivals[0][0].component.coefficient
+    trial = Trial(state, column.component, chosen)
+    standing = screen(trial.state, trial.state.fit()).candidate_scores[0]
+    others = tuple((rival.term, x) for rival, x in rivals[1:] if rival.component.coefficient == of)
+    elsewhere = tuple(c.component.label for c, _ in rivals if c.component.coefficient != of)
+    inflation = standing.variance_inflation
+    return SelectedTerm(column, trial.gain, trial.share, inflation, weight, others, p, 1, elsewhere)
 
 
 class Forms(NamedTuple):
@@ -509,7 +483,6 @@ class Forms(NamedTuple):
     unknown: tuple[UnexplainedStructure, ...] = ()  # the structure that terms of flights describe
 
 
-NOTHING_LEFT = Left((), ())
 SHOWN = 4  # parts of a form that are listed beside a cause
 
 
@@ -574,46 +547,53 @@ class _Model:
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     """Terms for all structure that is `left`; periods have none."""
-    functions: dict[str, list[Component]] = {}
-    for function in left.functions:
-        if not function.periodic:
-            functions.setdefault(function.coefficient, []).append(function)
-
-    def sought(state: SelectionState) -> list[SelectedTerm]:
-        each = [terms_of_coefficient(state, name, own, seed=seed) for name, own in functions.items()]
-        return [term for terms_of_one in each for term in terms_of_one]
-
     instead = contest(extension, left)
     if instead.terms or instead.replaced:
         return instead
+    by_coefficient: dict[str, list[Component]] = {}
+    for function in left.functions:
+        if not function.periodic:
+            by_coefficient.setdefault(function.coefficient, []).append(function)
+
+    def sought(state: SelectionState) -> list[SelectedTerm]:
+        return [t for n, own in by_coefficient.items() for t in terms_of_coefficient(state, n, own, seed=seed)]
+
+    bare = extension.state.without([name for name in left.replaced if name in extension.state.active])
     causes = [name for name in extension.causes if name not in left.replaced]
-    state = extension.state.without([name for name in left.replaced if name in extension.state.active])
-    found = sought(state)
-    if not found:
-        return instead
-    replaced = superfluous(state, causes, components_of(found))
-    if replaced:  # terms are sought again without causes that only stood in for one
-        state = state.without(replaced)
-        found = sought(state)
-    return instead._replace(terms=sized_terms(state, found), replaced=replaced if found else ())
+    return _with_terms(instead, bare, causes, sought, keep=False)[0]
 
 
 def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = None) -> Forms:
     """Terms of all coefficients for what an extended model leaves of trajectories or innovations."""
     if progress:
         progress("terms", 0.0)
-    instead, state = contest(extension), extension.state
-    if instead.terms or instead.replaced:
-        return instead._replace(unknown=described((), instead))
-    terms, replaced = terms_of_flights(state, seed), ()
-    if terms and (replaced := superfluous(state, extension.causes, components_of(terms))):
-        bare = state.without(replaced)
-        again = terms_of_flights(bare, seed)
-        state, terms, replaced = (bare, again, replaced) if again else (state, terms, ())
-    shown = [(term, term.column.component) for term in terms]
-    unknown = [UnexplainedStructure(c.coefficient, c.channel, f.share, f.p_value, f.elsewhere) for f, c in shown]
-    forms = instead._replace(terms=sized_terms(state, terms), replaced=replaced) if terms else instead
+    instead, terms = contest(extension), list[SelectedTerm]()
+    forms, unknown = instead, list[UnexplainedStructure]()
+    if not (instead.terms or instead.replaced):
+        sought = partial(terms_of_flights, seed=seed)
+        forms, terms = _with_terms(instead, extension.state, extension.causes, sought, keep=True)
+    for term, c in zip(terms, components_of(terms), strict=True):
+        unknown.append(UnexplainedStructure(c.coefficient, c.channel, term.share, term.p_value, term.elsewhere))
     return forms._replace(unknown=described(unknown, instead))
+
+
+def _with_terms(
+    forms: Forms,
+    state: SelectionState,
+    causes: Sequence[str],
+    sought: Callable[[SelectionState], list[SelectedTerm]],
+    *,
+    keep: bool,
+) -> tuple[Forms, list[SelectedTerm]]:
+    """Terms beside a state; sought again without causes that only stood in for one, or, to `keep`, as they were."""
+    terms, replaced = sought(state), ()
+    if terms and (replaced := superfluous(state, causes, components_of(terms))):
+        bare = state.without(replaced)
+        again = sought(bare)
+        state, terms, replaced = (state, terms, ()) if keep and not again else (bare, again, replaced)
+    if not terms:
+        return forms, []
+    return forms._replace(terms=sized_terms(state, terms), replaced=replaced), terms
 
 
 def described(unknown: Sequence[UnexplainedStructure], forms: Forms) -> tuple[UnexplainedStructure, ...]:
@@ -631,7 +611,7 @@ def described(unknown: Sequence[UnexplainedStructure], forms: Forms) -> tuple[Un
     return (*(u for u in unknown if u.coefficient not in by_coefficient or u is first[u.coefficient]), *more)
 
 
-def contest(extension: Extension, left: Left = NOTHING_LEFT) -> Forms:
+def contest(extension: Extension, left: Left = Left()) -> Forms:
     """Terms in place of causes and offsets that only stood in for them; and those that explain as well as causes."""
     # A wrong form of a coefficient leaves residuals that follow the state, as a stall or the error of a sensor does,
     # and differ between manoeuvres, as offsets do. So terms are sought without all of them; then everything is in, and
@@ -726,6 +706,7 @@ def _beside(
 
 
 def _curved(model: _Model, curves: Sequence[Component]) -> _Model:
+    """With each function that earns its cost."""
     for curve in curves:
         wider = replace(model, functions=(*model.functions, curve))
         model = wider if wider.beyond(model) > 0.0 else model
@@ -736,14 +717,11 @@ def _idle(model: _Model, curves: Sequence[Component]) -> dict[str, Component]:
     """Coefficients whose offsets a polynomial explains as well, and that."""
     explained, least = dict[str, Component](), -model.state.settings.ambiguous
     for name in model.state.apart:
-        gains = [(_fitted(_instead(model, name, [f])).beyond(model), f) for f in curves if f.coefficient == name]
+        bare = model.less(name)
+        gains = [(_fitted(bare, (f,)).beyond(model), f) for f in curves if f.coefficient == name]
         gain, best = max(gains, key=lambda pair: pair[0])
         explained |= {name: best} if gain > least else {}
     return explained
-
-
-def _instead(model: _Model, item: str, functions: Sequence[Component]) -> _Model:
-    return replace(model.less(item), functions=tuple(functions))
 
 
 def _eliminated(model: _Model, items: Sequence[str], curves: Sequence[Component]) -> _Model:
@@ -751,7 +729,7 @@ def _eliminated(model: _Model, items: Sequence[str], curves: Sequence[Component]
     while True:
         inside = [item for item in items if item in (*model.state.active, *model.state.apart)]
         trials = [model.less(item) for item in (*inside, *model.terms)]
-        rivals = [*(_instead(model, item, curves) for item in inside), *trials[len(inside) :]]
+        rivals = [replace(trial, functions=tuple(curves)) for trial in trials[: len(inside)]] + trials[len(inside) :]
         gains = [rival.beyond(model) for rival in rivals]
         if not gains or max(gains) <= 0.0:
             return _curved(model, curves)
@@ -759,24 +737,25 @@ def _eliminated(model: _Model, items: Sequence[str], curves: Sequence[Component]
         model = best if best.state is model.state else _fitted(best)
 
 
-def _fitted(model: _Model) -> _Model:
-    state = model.wide
-    return replace(model, state=moved(model.state, optimum(state, range(len(state.folds)))))
+def _fitted(model: _Model, functions: tuple[Component, ...] | None = None) -> _Model:
+    """At its optimum, with other functions beside."""
+    model = model if functions is None else replace(model, functions=functions)
+    return replace(model, state=moved(model.state, optimum(model.wide, range(len(model.state.folds)))))
 
 
 def _best_model(start: _Model, models: Sequence[_Model]) -> _Model:
     """The model that explains most of those that take the place of the first, if it is decisively better; or that."""
 
-    def takes_its_place(model: _Model) -> bool:
+    def able(model: _Model) -> bool:
         """Whether terms replace something, are identified within manoeuvres, and predict hold-out data no worse."""
+        if not model.beyond(start) > start.state.settings.decisive:
+            return False
         inside = replace(model, state=moved(model.state, model.state.theta, apart=start.state.apart))
         fewer = model.state.active != start.state.active or model.state.apart != start.state.apart
         there = inside.beyond(replace(inside, terms=(), functions=())) > 0.0
         return bool(fewer) and there and not inside.degrades(start)
 
-    able = [model for model in models if model.beyond(start) > start.state.settings.decisive]
-    able = [model for model in able if takes_its_place(model)]
-    return max(able, key=lambda model: model.beyond(start), default=start)
+    return max(filter(able, models), key=lambda model: model.beyond(start), default=start)
 
 
 def _less_one(best: _Model, name: str) -> _Model:
