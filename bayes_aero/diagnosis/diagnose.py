@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -37,11 +37,9 @@ from bayes_aero.diagnosis.result import (
     SizeInBand,
     Tested,
     UnexplainedStructure,
+    Verdict,
     View,
-    as_absorbed,
-    as_white,
     theil_parts,
-    verdict_of,
 )
 from bayes_aero.diagnosis.screening import CandidateScore, lag1_within, screen, uncertainty
 from bayes_aero.diagnosis.search import Search, SearchResult
@@ -68,7 +66,6 @@ from bayes_aero.diagnosis.selection import (
 )
 from bayes_aero.diagnosis.selection_state import (
     DEFAULT,
-    CandidateModel,
     DiagnosisSettings,
     RegressionFit,
     SelectionState,
@@ -102,58 +99,52 @@ def diagnose(
     settings: DiagnosisSettings = DEFAULT,
     seed: int = 0,
     extra: Sequence[Effect] = (),
-    gains_wanted: bool = True,
-    process_noise: bool | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Find what the card's model gets wrong on `records`; `settings` hold every threshold.
 
-    The model is compared with coefficients, or with trajectories where no accelerometer gives those; with
-    innovations by `process_noise` (None: in gusts). Without `gains_wanted` nothing is fitted again to left-out data.
+    The model is compared with coefficients, with trajectories where no accelerometer gives those, or, as the settings
+    say, with innovations.
     """
     card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
-    gusts = in_gusts(records, card, seed) if process_noise is None else {}
+    gusts = in_gusts(records, card, seed) if settings.process_noise is None else {}
     candidates = (*own_effects(card.effect_files).values(), *extra)
     search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress)
-    result = search.made(by_innovations=bool(process_noise or gusts))
-    if gains_wanted and result.testable_now:
+    result = search.made(by_innovations=bool(settings.process_noise or gusts))
+    stages, state = result.stages, result.model.state
+    kept_of, failed = {stage: extension.state.active for stage, extension in stages.items()}, ()
+    if settings.gains and result.testable_now:
         candidates, kept_of, failed = _confirmed(result, progress)
     else:
-        candidates, failed = causes_of(result, {}, None), ()
-        kept_of = {stage: extension.state.active for stage, extension in result.stages.items()}
-    compared = result.model.state.responses.stage
+        candidates = causes_of(result, {}, None)
     # Offsets between manoeuvres are in the model beside the causes.
-    hardly = stand_ins(candidates, result.stages, [one for one in result.unknown if not one.offsets])
+    hardly = stand_ins(candidates, stages, [structure for structure in result.unknown if not structure.offsets])
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
     unknown = (*result.unknown, *structure_of(result, (*unnamed, *beyond)))
-    kept = tuple(name for name in kept_of[compared] if name not in {c.name for c in beyond})
+    kept = tuple(name for name in kept_of[state.responses.stage] if name not in {c.name for c in beyond})
     causes, beyond = without_conditional(causes, beyond)
-    minor = (*(result.sensors.minor if result.sensors else ()), *result.model.minor, *(c.name for c in unnamed))
-    tested = None if result.testable_now else Tested({})
-    taken_up, verdict = absorbed(result.model), verdict_of(causes, (*unknown, *result.changes), tested)
-    names = {stage: [c.name for c in causes if c.stage == stage] for stage in result.stages}
-    pairs = [cancelling(extension, names[stage]) for stage, extension in result.stages.items()]
+    pairs = [cancelling(x, [c.name for c in causes if c.stage == stage]) for stage, x in stages.items()]
     same: dict[str, Any] = {n: getattr(result, n) for n in ("noise", "not_testable", "sensors", "changes", "terms")}
     return Diagnosis(
-        verdict=as_absorbed(as_white(verdict, result.noise), taken_up),
+        verdict=Verdict.UNDECIDED,
         causes=causes,
-        minor=minor,
+        minor=(*(result.sensors.minor if result.sensors else ()), *result.model.minor, *(c.name for c in unnamed)),
         unknown=unknown,
         aerodynamics=result.model,
-        theta=result.model.state.theta,
-        split=split_name(result.model.state),
+        theta=state.theta,
+        split=split_name(state),
         base_moves=moves_of(result.model),
         kept=kept,
         failures=(*result.failures, *failed),
         notes=(*left_out, *result.notes),
         together=tuple(pair for of_stage in pairs for pair in of_stage),
         beyond=beyond,
-        tested=tested,
-        compared=compared,
+        tested=None if result.testable_now else Tested({}),
+        compared=state.responses.stage,
         gusts=gusts,
-        absorbed=taken_up,
+        absorbed=absorbed(result.model),
         **same,
-    )
+    ).judged()
 
 
 Kept = Mapping[str, tuple[str, ...]]  # by stage, additions that hold-out data confirm
@@ -162,19 +153,16 @@ Kept = Mapping[str, tuple[str, ...]]  # by stage, additions that hold-out data c
 def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Cause], Kept, tuple[str, ...]]:
     """Causes with what unseen data say of them, the additions of every stage that these confirm, and failures."""
 
-    def loses(gain: Gain) -> bool:
-        """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
-        return bool(gain.degraded) or result.full.settings.degrades(gain.elpd, gain.elpd_se)
-
     def tested() -> tuple[list[Cause], Kept]:
-        confirmations = {stage: confirmation(one.state) for stage, one in result.stages.items()}
+        """Without a confirmed cause by which hold-out data are predicted worse: all together, or one output."""
+        confirmations = {stage: confirmation(extension.state) for stage, extension in result.stages.items()}
         while True:
-            causes = causes_of(result, confirmations, progress)
-            losing = [c for c in causes if c.confirmed and loses(c.gain)]
+            causes, degrades = causes_of(result, confirmations, progress), result.full.settings.degrades
+            losing = [c for c in causes if c.confirmed and (c.gain.degraded or degrades(c.gain.elpd, c.gain.elpd_se))]
             if not losing:
-                return causes, {stage: one.kept for stage, one in confirmations.items()}
-            last, one = losing[-1], confirmations[losing[-1].stage]
-            confirmations[last.stage] = replace(one, kept=tuple(name for name in one.kept if name != last.name))
+                return causes, {stage: sure.kept for stage, sure in confirmations.items()}
+            last, sure = losing[-1], confirmations[losing[-1].stage]
+            confirmations[last.stage] = replace(sure, kept=tuple(name for name in sure.kept if name != last.name))
 
     causes, failures = attempted("No cause was tested on hold-out data", tested, None)
     if causes is not None:
@@ -194,22 +182,21 @@ def without_conditional(
 def causes_of(
     searched: SearchResult, confirmations: Mapping[str, Confirmation], progress: Progress | None
 ) -> list[Cause]:
-    causes, full = list[Cause](), searched.full
+    """Causes of every stage; of selections that were repeated without what is too large, that."""
+    causes = list[Cause]()
     for stage, extension in searched.stages.items():
-        sure = confirmations.get(stage)
-        measured = {}
+        sure, measured = confirmations.get(stage), {}
         if sure is not None and extension.causes:
             measured = gains_of(extension, searched.model, sure.kept, progress)
         forms = searched.forms if extension is searched.model else {}
-        causes += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
+        causes += _causes_in(stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
             out = without_hold(larger) if stage == FLIGHT_PATH else larger.implausible
-            causes += _causes_in(full, stage, larger, [n for n in larger.causes if n in out], None, {}, {})
+            causes += _causes_in(stage, larger, [n for n in larger.causes if n in out], None, {}, {})
     return causes
 
 
 def _causes_in(
-    full: CandidateModel,
     stage: str,
     extension: Extension,
     names: Sequence[str],
@@ -218,24 +205,23 @@ def _causes_in(
     forms: Mapping[str, tuple[str, float]],
 ) -> list[Cause]:
     """Some causes of one extension."""
-    causes = list[Cause]()
+    causes, state = list[Cause](), extension.state
     if not names:
         return causes
-    joint = correlated(extension, extension.causes)
-    noise = noise_shares(extension.state, extension.fit)
+    joint, noise = correlated(extension, extension.causes), noise_shares(state, extension.fit)
     undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
+    effects = {e.name: e for e in state.full.model.effects}
     for name in names:
-        effect = next(e for e in full.candidates if e.name == name)
+        effect, in_place = effects[name], dict[str, tuple[float, float]]()
         probability, others = rivals_of(extension, name, noise=noise[name])
-        in_place: dict[str, tuple[float, float]] = {}
         if sure is not None and name in sure.kept:
             in_place = rival_gains(extension, name, others, sure.kept)
-            worse = [rival for rival, gain in in_place.items() if full.settings.degrades(*gain)]
-            if worse:
+            if worse := [rival for rival, gain in in_place.items() if state.settings.degrades(*gain)]:
                 probability, others = rivals_of(extension, name, worse, noise[name])
         if name in forms:  # the odds of the form against the cause
             probability = float(1.0 / (1.0 / max(probability, 1e-300) + np.exp(-forms[name][1])))
             others = (*others, forms[name][0])
+        gain = measured.get(name, NO_GAIN)
         causes.append(
             Cause(
                 name=name,
@@ -246,12 +232,12 @@ def _causes_in(
                 p_value=next((s.p_value for s in extension.steps if s.chosen == name), float("nan")),
                 ambiguous_with=tuple(dict.fromkeys((*others, *undecided.get(name, ())))),
                 parameters={p.name: extension.sizes[p.name] for p in effect.parameters},
-                gain=_with_harm(measured.get(name, NO_GAIN), sure, name),
-                excited=_excited(extension.state, name),
+                gain=gain if sure is None else _with_harm(gain, sure, name),
+                excited=_excited(state, name),
                 confirmed=sure is None or name in sure.kept,
                 missed=NOTHING if sure is None else sure.missed[name],
                 implausible=implausible(effect, extension.sizes),
-                own_share=own_share(extension.state, extension.fit, name),
+                own_share=own_share(state, extension.fit, name),
                 joint=joint.get(name, {}),
                 rival_gains={rival: gain for rival, gain in in_place.items() if rival in others},
             )
@@ -259,21 +245,19 @@ def _causes_in(
     return causes
 
 
-def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
-    return gain if sure is None else replace(gain, degraded={**gain.degraded, **sure.harmed.get(name, {})})
+def _with_harm(gain: Gain, sure: Confirmation, name: str) -> Gain:
+    return replace(gain, degraded={**gain.degraded, **sure.harmed.get(name, {})})
 
 
 def structure_of(result: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
     """What the record shows and cannot attribute: to one of several rivals, or to a size that no aircraft has."""
     effects, described = {e.name: e for e in result.full.candidates}, {u.coefficient for u in result.unknown}
     structures = []
-    for c in unnamed:
-        if c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with:
-            extension = result.stages[c.stage]
-            structure = as_structure(c, extension, effects[c.name])
-            enough = structure.share >= result.full.settings.unnamed_share and structure.coefficient not in described
-            if c.name in extension.state.active or enough:
-                structures.append(structure)
+    for c in (c for c in unnamed if (c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with)):
+        structure = as_structure(c, result.stages[c.stage], effects[c.name])
+        enough = structure.share >= result.full.settings.unnamed_share and structure.coefficient not in described
+        if c.name in result.stages[c.stage].state.active or enough:
+            structures.append(structure)
     return tuple(structures)
 
 
@@ -301,23 +285,20 @@ def rivals_of(
 ) -> tuple[float, tuple[str, ...]]:
     """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
     # Left out is what predicts hold-out data `worse`, only hides noise, or must be larger than aircraft have.
-    state, effects = extension.state, {e.name: e for e in extension.state.full.candidates}
+    state, effects, best = extension.state, {e.name: e for e in extension.state.full.candidates}, {}
     out = {*worse, *(n for larger in extension.larger for n in larger.implausible)}
-    ranking = screen(state, extension.fit, without=name).candidate_scores
-    best: dict[str, CandidateScore] = {}
-    for standing in ranking:
+    for standing in screen(state, extension.fit, without=name).candidate_scores:
         able = standing.score > state.settings.least_rival_score and not mixes_noise(state, standing)
         able = able and standing.effect not in out and not implausible_candidate(effects[standing.effect], standing)
         if standing.effect == name or able:
             best.setdefault(standing.effect, standing)
-    itself = best.get(name)
-    if itself is None:
+    if name not in best:
         return 1.0, ()
-    itself = replace(itself, gain=itself.gain * (1.0 - noise) ** 2)
-    weights = {effect: np.exp(min(0.0, -itself.nats(s))) for effect, s in best.items()}
+    itself = replace(best[name], gain=best[name].gain * (1.0 - noise) ** 2)
+    less = {effect: itself.nats(s) for effect, s in best.items()}
     nothing = np.exp(-nats(max(itself.gain, 0.0), itself.variance_inflation))
-    close = tuple(effect for effect, s in best.items() if effect != name and itself.nats(s) < state.settings.ambiguous)
-    return float(1.0 / (sum(weights.values()) + nothing)), close
+    close = tuple(effect for effect, x in less.items() if effect != name and x < state.settings.ambiguous)
+    return float(1.0 / (sum(np.exp(min(0.0, -x)) for x in less.values()) + nothing)), close
 
 
 def sensors_not_missed(diagnosis: Diagnosis, flights: Confirmation) -> Confirmation:
@@ -339,9 +320,7 @@ def judged_on_held_out_flights(
         gain, kept = _with_harm(c.gain, confirmation, c.name), c.name in confirmation.kept
         return replace(c, confirmed=kept, missed=confirmation.missed[c.name], gain=gain)
 
-    causes = tuple(judged(c) for c in diagnosis.causes)
-    verdict = as_absorbed(verdict_of(causes, diagnosis.left, diagnosis.tested), diagnosis.absorbed)
-    return replace(diagnosis, causes=causes, verdict=verdict)
+    return diagnosis.judged(causes=tuple(map(judged, diagnosis.causes)))
 
 
 # --- What every cause gains on hold-out data beside the causes before it.
@@ -354,37 +333,39 @@ def gains_of(
     extension: Extension, aerodynamics: Extension, kept: Sequence[str], progress: Progress | None
 ) -> dict[str, Gain]:
     """Gains of an extension's causes on left-out folds, each beside nuisances and the confirmed causes before it."""
-    state, causes = extension.state, extension.causes
+    state, causes, name_of_split = extension.state, extension.causes, split_name(extension.state)
     nuisances = [name for name in extension.minor if name in kept]
-    sure = {name: [other for other in causes[:number] if other in kept] for number, name in enumerate(causes)}
-    pairs: dict[str, tuple[LeftOut, LeftOut]] = {}
-    base = before = LeftOut.refitted(truncated(state, nuisances))
-    for number, name in enumerate(causes):
-        if progress:
-            progress("gain on hold-out data", number / len(causes))
-        after = LeftOut.refitted(truncated(state, (*nuisances, *sure[name], name)))
-        pairs[name] = before, after
-        before = after if name in kept else before
-    gained = {name: (*after.gain(before), split_name(state)) for name, (before, after) in pairs.items()}
+
+    def chain(left_out: Callable[[list[str]], LeftOut]) -> tuple[LeftOut, dict[str, tuple[LeftOut, LeftOut]]]:
+        """Hold-out data without any cause, and without and with each."""
+        base = before = left_out([])
+        pairs, sure = {}, list[str]()
+        for number, name in enumerate(causes):
+            if progress:
+                progress("gain on hold-out data", number / len(causes))
+            pairs[name] = before, left_out([*sure, name])
+            if name in kept:
+                before, sure = pairs[name][1], [*sure, name]
+        return base, pairs
+
+    base, pairs = chain(lambda names: LeftOut.refitted(truncated(state, (*nuisances, *names))))
+    gained = {name: (*after.gain(before), name_of_split) for name, (before, after) in pairs.items()}
     if state.of_coefficients:
         measured = measured_blocks(state)
         return {n: Gain(*gained[n], base.scores(measured), after.scores(measured)) for n, (_, after) in pairs.items()}
     if extension is aerodynamics:  # no coefficients to score
         return {name: Gain(*gain, {}, {}) for name, gain in gained.items()}
+    card, gains = aerodynamics.base, {}
 
     def corrected(sensors: Sequence[str]) -> LeftOut:
         """The card's fit of the coefficients with these corrections of sensors alone."""
-        card = aerodynamics.base
         theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
         return LeftOut.refitted(moved(card, theta, ()))
 
-    measured, gains = measured_blocks(aerodynamics.base), {}
-    base = before = corrected(())
-    for name in causes:  # what each correction does to the coefficients: scores, and those that it predicts worse
-        after = corrected([*sure[name], name])
+    measured, (base, pairs) = measured_blocks(card), chain(corrected)
+    for name, (before, after) in pairs.items():  # what each correction does to the coefficients, and what it worsens
         worse = state.settings.degraded(after.output_gains(before))
         gains[name] = Gain(*gained[name], base.scores(measured), after.scores(measured), worse)
-        before = after if name in kept else before
     return gains
 
 
@@ -392,16 +373,16 @@ def rival_gains(
     extension: Extension, cause: str, rivals: Sequence[str], kept: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
     """Hold-out log density of each rival in place of a confirmed cause beyond it; minus infinity if too large."""
-    ranking = screen(extension.state, extension.fit, without=cause)
-    reference, gains = LeftOut.refitted(refitted(truncated(extension.state, kept))[0]), {}
+    state, gains = extension.state, {}
+    ranking, others = screen(state, extension.fit, without=cause), [e for e in kept if e != cause]
+    reference = LeftOut.refitted(refitted(truncated(state, kept))[0])
     for rival in rivals:
-        standing = ranking.of(rival)
-        if standing is not None:
-            other, _ = refitted(added(removed(extension.state, cause), standing))
-            other, _ = refitted(truncated(other, [*(e for e in kept if e != cause), rival]))
+        if (standing := ranking.of(rival)) is not None:
+            other, _ = refitted(added(removed(state, cause), standing))
+            other, _ = refitted(truncated(other, [*others, rival]))
             effect = next(e for e in other.full.candidates if e.name == rival)
-            values = dict(zip(other.full.model.names, other.theta, strict=True))
-            fitted = {p.name: Size(float(values[p.name]), 0.0, p.unit) for p in effect.parameters if p.name in values}
+            values = dict(zip(other.full.model.names, map(float, other.theta), strict=True))
+            fitted = {p.name: Size(values[p.name], 0.0, p.unit) for p in effect.parameters if p.name in values}
             gains[rival] = (-math.inf, 0.0) if implausible(effect, fitted) else LeftOut.refitted(other).gain(reference)
     return gains
 
@@ -422,13 +403,19 @@ def own_share(state: SelectionState, fit: RegressionFit, effect: str) -> float:
 
 def attributed(
     causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT, stand_ins: Sequence[str] = ()
-) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
+) -> tuple[tuple[Cause, ...], ...]:
     """Causes that the record can attribute; those larger than on any aircraft (another fault is behind); the rest."""
-    beyond = tuple(c for c in causes if c.implausible)
-    rest = [c for c in causes if c not in beyond]
-    few = (c for c in rest if 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely))
-    named = tuple(c for c in few if c.name not in stand_ins)  # no more equals than the record can choose among
-    return named, beyond, tuple(c for c in rest if c not in named)
+
+    def named(c: Cause) -> bool:  # no more equals than the record can choose among
+        few = 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely)
+        return few and c.name not in stand_ins
+
+    rest = [c for c in causes if not c.implausible]
+    return (
+        tuple(c for c in rest if named(c)),
+        tuple(c for c in causes if c.implausible),
+        tuple(c for c in rest if not named(c)),
+    )
 
 
 def stand_ins(
@@ -454,8 +441,7 @@ def as_structure(cause: Cause, extension: Extension, effect: Effect) -> Unexplai
     """What a cause that is none explained: the output of which it takes most, through which channel."""
     standing = screen(extension.state, extension.fit, without=cause.name).of(cause.name)
     share = 0.0 if standing is None else explained(extension.state, standing)
-    channel = effect.channels[0] if effect.channels else effect.kind.value
-    output = _output(extension, cause.name, standing)
+    channel, output = (*effect.channels, effect.kind.value)[0], _output(extension, cause.name, standing)
     return UnexplainedStructure(output, channel, share, cause.p_value, (cause.name, *cause.ambiguous_with))
 
 
@@ -473,12 +459,8 @@ def view_of(diagnosis: Diagnosis) -> DiagnosisView:
         name: ParameterMove(a, b, float("nan"), sd, units[name]) for name, (a, b, sd) in diagnosis.base_moves.items()
     }
     deviations = {name: move.sd_after for name, move in moves.items()}
-    return DiagnosisView(
-        diagnosis=diagnosis,
-        rankings=rankings_of(diagnosis),
-        moves=moves,
-        covariance=joint_covariance(diagnosis.aerodynamics, deviations, diagnosis.causes),
-    )
+    covariance = joint_covariance(diagnosis.aerodynamics, deviations, diagnosis.causes)
+    return DiagnosisView(diagnosis=diagnosis, rankings=rankings_of(diagnosis), moves=moves, covariance=covariance)
 
 
 def coefficient_view(diagnosis: Diagnosis) -> View:
@@ -489,8 +471,7 @@ def coefficient_view(diagnosis: Diagnosis) -> View:
         before = refitted(moved(last.base, last.base.full.at_neutral(last.base.theta, sensors.state.active)))
     if set(diagnosis.kept) != set(last.state.active):  # the part of the extension that hold-out data confirm
         after = refitted(truncated(last.state, diagnosis.kept))
-    flights = diagnosis.aerodynamics.state.responses.flights
-    begin = np.cumsum([0, *flights.lengths[:-1]])
+    flights = last.state.responses.flights
     signals = before[0].responses.predict(before[0].theta)
     channels = {**before[0].responses.flights.channels, **signals}  # one abscissa for both models
     card, extended = (_fitted(*model, signals["measured"], channels) for model in (before, after))
@@ -500,7 +481,7 @@ def coefficient_view(diagnosis: Diagnosis) -> View:
         extended=extended,
         measured=signals["measured"],
         manoeuvre=flights.manoeuvre,
-        time=flights.time - flights.time[begin][flights.manoeuvre],
+        time=np.concatenate([t - t[0] for t in by_manoeuvre(flights.time, flights)]),
         names=flights.names,
         channels=channels,
         parameters=card.state.full.model.parameters,
@@ -532,7 +513,23 @@ def _fitted(
     blocks = {name: np.asarray(block(jnp.asarray(channels[name]))) for name in names}
     each = [np.asarray(block(jnp.asarray(x))) for x in residual.T]
     over = tuple(tuple(profiles(x, blocks, state.variance_inflation)) for x in each)
-    return Fitted(residual, signals, _composition(state, fit, measured, residual), over, state, fit)
+    # Each coefficient's residuals: scores, Theil's parts, lag 1, and calibration of the fitted noise.
+    standard = (state.left(fit) / np.sqrt(fit.variance))[state.inside]
+    manoeuvre, composition = state.responses.flights.manoeuvre, {}
+    for c, name in enumerate(state.outputs):
+        z, e = measured[:, c], residual[:, c]
+        scores, parts = score(z, z - e), theil_parts(z, z - e)
+        within = {f"{p:g}": np.abs(standard[:, c]) <= stats.norm.ppf(0.5 + p / 2) for p in LEVELS}
+        composition[name] = {
+            "r": scores.r,
+            "rmse": scores.rmse,
+            "r2": scores.r2,
+            "theil": parts.theil,
+            **{f"theil_{part}": getattr(parts, part) for part in ("bias", "variance", "covariance")},
+            "lag1": lag1_within(e, manoeuvre),
+            "calibration": {level: float(np.mean(x)) for level, x in within.items()},
+        }
+    return Fitted(residual, signals, composition, over, state, fit)
 
 
 BINS = 12
@@ -543,56 +540,29 @@ def profiles(
     residual: Float[np.ndarray, " n"], channels: Mapping[str, np.ndarray], variance_inflation: float
 ) -> list[ResidualProfile]:
     """How the residual depends on each channel, the clearest first."""
-    profiles_by_channel, bins = [], max(1, min(BINS, len(residual) // 2))  # of two blocks: they have a deviation
-    for name, x in channels.items():
-        if np.ptp(x) <= 1e-9 * max(1.0, float(np.abs(x).max())):
-            continue
-        parts = np.array_split(np.argsort(x, kind="stable"), bins)
-        mean = np.array([residual[p].mean() for p in parts])
-        sd = np.array([residual[p].std() * np.sqrt(variance_inflation / len(p)) for p in parts])
-        profiles_by_channel.append(ResidualProfile(name, np.array([x[p].mean() for p in parts]), mean, sd))
+    dependences, bins = [], max(1, min(BINS, len(residual) // 2))  # of two blocks: they have a deviation
     least = max(LEAST * float(np.sqrt(np.mean(residual**2))), 1e-300)
-    return sorted(profiles_by_channel, key=lambda p: -float(np.sum((p.mean / np.maximum(p.deviation, least)) ** 2)))
+    for name, x in channels.items():
+        if np.ptp(x) > 1e-9 * max(1.0, float(np.abs(x).max())):
+            parts = np.array_split(np.argsort(x, kind="stable"), bins)
+            mean, centre = (np.array([y[p].mean() for p in parts]) for y in (residual, x))
+            sd = np.array([residual[p].std() * np.sqrt(variance_inflation / len(p)) for p in parts])
+            clear = float(np.sum((mean / np.maximum(sd, least)) ** 2))
+            dependences.append((-clear, ResidualProfile(name, centre, mean, sd)))
+    return [profile for _, profile in sorted(dependences, key=lambda pair: pair[0])]
 
 
 def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
-
-    def deviations(fitted: Fitted) -> dict[str, float]:
+    full, moves, (sd, sd_after) = after.state.full, {}, ({}, {})
+    for deviations, fitted in ((sd, before), (sd_after, after)):
         columns, covariance = covariance_of(fitted)
-        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return {fitted.state.full.model.names[c]: float(x) for c, x in zip(columns, sd, strict=True)}
-
-    full, sd, sd_after = after.state.full, deviations(before), deviations(after)
-    names = [p for e in full.base for p in full.parameters_of(e) if p in sd and p in sd_after]
-    moves = {}
-    for name, i in zip(names, map(int, full.columns(names)), strict=True):
+        roots = map(float, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+        deviations |= dict(zip((fitted.state.full.model.names[c] for c in columns), roots, strict=True))
+    for name in (p for e in full.base for p in full.parameters_of(e) if p in sd and p in sd_after):
+        (i,) = map(int, full.columns([name]))
         values = float(before.state.theta[i]), float(after.state.theta[i])
         moves[name] = ParameterMove(*values, sd[name], sd_after[name], full.model.free[i].unit)
     return moves
-
-
-def _composition(
-    state: SelectionState, fit: RegressionFit, measured: Float[np.ndarray, "n c"], residual: Float[np.ndarray, "n c"]
-) -> dict[str, dict[str, Any]]:
-    """Each coefficient's residuals: scores, Theil's parts, lag 1, and calibration of the fitted noise."""
-    standard = state.left(fit) / np.sqrt(fit.variance)
-    inside = np.concatenate([standard[fold] for fold in state.folds])
-    manoeuvre, composition = state.responses.flights.manoeuvre, {}
-    for c, name in enumerate(state.outputs):
-        z, e = measured[:, c], residual[:, c]
-        scores, parts = score(z, z - e), theil_parts(z, z - e)
-        bands = {f"{p:g}": np.abs(inside[:, c]) <= stats.norm.ppf(0.5 + p / 2) for p in LEVELS}
-        theil = {f"theil_{part}": getattr(parts, part) for part in ("bias", "variance", "covariance")}
-        composition[name] = {
-            "r": scores.r,
-            "rmse": scores.rmse,
-            "r2": scores.r2,
-            "theil": parts.theil,
-            **theil,
-            "lag1": lag1_within(e, manoeuvre),
-            "calibration": {level: float(np.mean(within)) for level, within in bands.items()},
-        }
-    return composition
 
 
 # --- The covariance of a fitted model's estimates, with what a diagnosis adds to it for its causes.
@@ -623,14 +593,13 @@ def joint_covariance(
 
 def holdout_scores(view: View) -> HoldoutScores:
     """Fit both models again without each fold, and score each manoeuvre by these fits and by those to all data."""
-    models = {"card": view.card, "extended": view.extended}
-    left = {name: LeftOut.refitted(fitted.state) for name, fitted in models.items()}
-    state = view.extended.state
+    models = {"card": view.card.state, "extended": view.extended.state}
+    left, state = {name: LeftOut.refitted(one) for name, one in models.items()}, view.extended.state
     measured, scores, gains = measured_blocks(state), {}, {}
     for k, manoeuvre in enumerate(view.names):
         here = (state.responses.manoeuvre == k) & left["extended"].inside
-        for model, fitted in models.items():
-            for split, residual in (("fitted", fitted.state.residual), ("hold_out", left[model].residual)):
+        for model, one in models.items():
+            for split, residual in (("fitted", one.residual), ("hold_out", left[model].residual)):
                 scores[model, split, k] = scores_of(state.outputs, measured[here], residual[here])
         differences = compared(left["card"], left["extended"], state, measured, k)
         gains |= {(manoeuvre, name): gain for name, gain in differences.items()}
@@ -670,9 +639,8 @@ def rankings_of(diagnosis: Diagnosis) -> tuple[Ranking, ...]:
         for s in (s for s in screening.candidate_scores if s.effect not in ranked):
             effect, at = effects[s.effect], base.theta[base.full.own_columns(s.effect)]
             steps = zip(effect.parameters, at, s.step, s.sd, strict=False)
-            sizes = {p.name: (float(x + d), sd) for p, x, d, sd in steps}
-            p_value, share = screening.p_value(s.score), explained(base, s)
-            ranked[s.effect] = RankedCandidate(s.effect, effect.kind.value, s.score, p_value, share, sizes)
+            sizes, p_value = {p.name: (float(x + d), sd) for p, x, d, sd in steps}, screening.p_value(s.score)
+            ranked[s.effect] = RankedCandidate(s.effect, effect.kind.value, s.score, p_value, explained(base, s), sizes)
         level = extension.state.settings.false_alarm_rate
         leaders = tuple(sorted(ranked.values(), key=lambda s: -s.score))
         rankings.append(Ranking(stage, leaders, screening.threshold(level), level))

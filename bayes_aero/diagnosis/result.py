@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
 from typing import Any
 
@@ -190,6 +190,11 @@ class Diagnosis:
     terms: tuple[FoundTerm, ...] = ()  # forms of the structure that no effect of the catalogue explains
     absorbed: tuple[Absorbed, ...] = ()  # parameters of controls at rest, and effects that they may have taken up
 
+    def judged(self, **changes: Any) -> Diagnosis:
+        """With some parts changed, and the verdict that follows."""
+        d = replace(self, **changes)
+        return replace(d, verdict=verdict_of(d.causes, d.left, d.tested, d.noise, d.absorbed))
+
     @property
     def by_coefficients(self) -> bool:
         """Whether the model was compared with coefficients; otherwise with trajectories alone or innovations."""
@@ -207,37 +212,24 @@ class Diagnosis:
 
 
 def verdict_of(
-    causes: Sequence[Cause], unknown: Sequence[UnexplainedStructure | ParameterChange], tested: Tested | None = None
+    causes: Sequence[Cause],
+    left: Sequence[UnexplainedStructure | ParameterChange],
+    tested: Tested | None = None,
+    noise: NoiseReport | None = None,
+    absorbed: Sequence[Absorbed] = (),
 ) -> Verdict:
     """What is missing counts as explained by causes that are sure alone; a change of a parameter is no cause."""
-    of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors'
+    # By innovations: where they stay coloured, something is left. By trajectories alone: so it is where errors are
+    # beyond the noise or were never computed; disturbed air leaves such errors, too, and it is not modelled.
+    coloured = noise is not None and noise.of_innovations and bool(noise.coloured)
     if any(cause.sure for cause in causes):
-        verdict = Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
-    else:
-        verdict = Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
-    return verdict if tested is None else as_tested(verdict, tested)
-
-
-def as_white(verdict: Verdict, noise: NoiseReport) -> Verdict:
-    """A verdict by innovations: where they stay coloured, something is left that is not explained."""
-    if not (noise.of_innovations and noise.coloured):
-        return verdict
-    instead = {Verdict.EXPLAINED: Verdict.PARTLY_EXPLAINED, Verdict.NO_EFFECT: Verdict.UNDECIDED}
-    return instead.get(verdict, verdict)
-
-
-def as_absorbed(verdict: Verdict, absorbed: Sequence[Absorbed]) -> Verdict:
-    """A verdict by coefficients: where a parameter may have taken up an effect, its absence is not decided."""
-    return Verdict.UNDECIDED if absorbed and verdict is Verdict.NO_EFFECT else verdict
-
-
-def as_tested(verdict: Verdict, tested: Tested) -> Verdict:
-    """A verdict by trajectories alone: what is left beyond the noise, or was never computed, is not explained."""
-    if verdict is Verdict.EXPLAINED and not tested.within_noise:
-        return Verdict.PARTLY_EXPLAINED
-    if verdict is Verdict.NO_EFFECT and tested.beyond:  # disturbed air leaves such errors, too, and it is not modelled
-        return Verdict.UNDECIDED
-    return verdict
+        more = left or coloured or (tested is not None and not tested.within_noise)
+        return Verdict.PARTLY_EXPLAINED if more else Verdict.EXPLAINED
+    if left or any(cause.stage != FLIGHT_PATH for cause in causes):  # the others are the sensors'
+        return Verdict.UNEXPLAINED
+    # Where a parameter may have taken up an effect, its absence is not decided.
+    open_ = coloured or (tested is not None and tested.beyond) or absorbed
+    return Verdict.UNDECIDED if open_ else Verdict.NO_EFFECT
 
 
 # --- What a check of records has found, before anything is fitted.

@@ -36,6 +36,8 @@ class DiagnosisSettings:
     on simulated flights; the rates of error that follow from them are in `benchmarks/README.md`."""
 
     max_effects: int = 8  # effects that each stage may add
+    process_noise: bool | None = None  # compare the model with innovations; None: in gusts
+    gains: bool = True  # fit the causes again to left-out data
 
     # Screening: every candidate's score against noise-only replicates.
     replicates: int = 200  # noise-only replicates behind every p-value: it is 0.005 at the least

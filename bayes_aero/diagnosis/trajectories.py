@@ -44,7 +44,6 @@ from bayes_aero.diagnosis.result import (
     TrajectoryEstimates,
     TrajectoryFit,
     theil_parts,
-    verdict_of,
 )
 from bayes_aero.diagnosis.selection import Extension, LeftOut, backward_elimination, large, normal_draws
 from bayes_aero.diagnosis.selection_state import (
@@ -753,7 +752,7 @@ def with_tested(
 ) -> Diagnosis:
     """The diagnosis by trajectories, judged on hold-out flights; `flown` is its extended model, None if not flown."""
     tested = Tested({} if flown is None else beyond_noise(flown, records, card))
-    return replace(diagnosis, tested=tested, verdict=verdict_of(diagnosis.causes, diagnosis.left, tested))
+    return diagnosis.judged(tested=tested)
 
 
 def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Card) -> dict[str, OutputMiss]:

@@ -108,8 +108,8 @@ def diagnose_records(
     source = provenance(card, records, options.seed, options.settings, options)
     if progress:
         progress("do the sensors agree?", 0.0)
-    settings, noise = DiagnosisSettings(max_effects=options.max_effects), options.process_noise
-    found = diagnose(records, card, settings=settings, seed=options.seed, process_noise=noise, progress=progress)
+    settings = DiagnosisSettings(max_effects=options.max_effects, process_noise=options.process_noise)
+    found = diagnose(records, card, settings=settings, seed=options.seed, progress=progress)
     alone = not found.by_coefficients
     options = replace(options, test_points=options.test_points and not alone)
     known = None if alone else errors_of_diagnosis(found)

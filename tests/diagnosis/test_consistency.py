@@ -27,7 +27,7 @@ from bayes_aero.diagnosis.consistency import (
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Size
 from bayes_aero.diagnosis.selection import Extension, filtered_channels, recording_noise
-from bayes_aero.diagnosis.selection_state import CandidateModel, RegressionFit, SelectionState
+from bayes_aero.diagnosis.selection_state import CandidateModel, DiagnosisSettings, RegressionFit, SelectionState
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import Agreement, Consistency, noise_of
@@ -485,7 +485,9 @@ def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_a
 @pytest.mark.verify
 def test_a_right_mach_number_beside_a_wrong_airspeed_leaves_the_lift_as_it_is(card):
     """CLa is 3.6, CD0 .045; moved with the airspeed, the Mach number would make CLa 3.78."""
-    found = diagnose([misread(card, pitot_pressure_bias=300.0, own_mach=True)], card, gains_wanted=False)
+    found = diagnose(
+        [misread(card, pitot_pressure_bias=300.0, own_mach=True)], card, settings=DiagnosisSettings(gains=False)
+    )
     assert {c.name for c in found.causes} == {"pitot_pressure_bias"}
     assert not found.minor
     assert not found.unknown

@@ -19,7 +19,14 @@ from bayes_aero.diagnosis.diagnose import diagnose, rivals_of
 from bayes_aero.diagnosis.result import COEFFICIENTS, TRAJECTORIES, Size, Verdict
 from bayes_aero.diagnosis.search import search_in_stages
 from bayes_aero.diagnosis.selection import integrated_deviance, noise_shares
-from bayes_aero.diagnosis.selection_state import DEFAULT, Products, candidate_model, manoeuvres, moved
+from bayes_aero.diagnosis.selection_state import (
+    DEFAULT,
+    DiagnosisSettings,
+    Products,
+    candidate_model,
+    manoeuvres,
+    moved,
+)
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
@@ -49,7 +56,7 @@ def verify(*rows):
 ])  # fmt: skip
 def test_a_hidden_effect_is_named_with_its_size_and_no_parameter_changes(name, seed, card):
     effects, flights = flyable([name], seed=seed, noise="ar1", seconds=90.0)
-    found = diagnose([flight.record for flight in flights], card, seed=seed, gains_wanted=False)
+    found = diagnose([flight.record for flight in flights], card, seed=seed, settings=DiagnosisSettings(gains=False))
     (cause,) = found.causes
     assert cause.name == name
     assert not found.changes
@@ -66,7 +73,12 @@ def test_a_hidden_effect_is_named_with_its_size_and_no_parameter_changes(name, s
     (4202, "ar1"), *verify((141128, "buffet"), (4201, "white"), (4203, "buffet"), (4204, "outliers")),
 ])  # fmt: skip
 def test_nothing_is_found_where_nothing_is_hidden(seed, noise, card):
-    found = diagnose(hidden_records({}, seed=seed, noise=noise, seconds=90.0), card, seed=seed, gains_wanted=False)
+    found = diagnose(
+        hidden_records({}, seed=seed, noise=noise, seconds=90.0),
+        card,
+        seed=seed,
+        settings=DiagnosisSettings(gains=False),
+    )
     assert found.verdict is Verdict.NO_EFFECT, [c.name for c in found.causes]
     assert not found.changes
     assert "spoiler_lift" in found.not_testable
@@ -83,7 +95,7 @@ def test_white_noise_is_not_called_coloured(diagnosed):
 @pytest.mark.parametrize("seed", [4301, pytest.param(4302, marks=pytest.mark.verify)])
 def test_a_hidden_wave_is_called_unexplained_by_its_period(seed, card):
     flights = hidden_flights({}, seed=seed, noise="ar1", beyond=unknown("periodic"), seconds=90.0)
-    found = diagnose([flight.record for flight in flights], card, seed=seed, gains_wanted=False)
+    found = diagnose([flight.record for flight in flights], card, seed=seed, settings=DiagnosisSettings(gains=False))
     assert found.verdict is Verdict.UNEXPLAINED, [c.name for c in found.causes]
     waves = [u for u in found.unknown if u.channel.startswith("time, period")]
     assert waves, found.unknown
@@ -119,7 +131,12 @@ def test_what_a_stranger_hides_is_named_with_its_size_and_nothing_else(tmp_path,
     """A random aircraft's two records, read from CSV and diagnosed."""
     p, size, files = flown(tmp_path, np.random.default_rng(seed), name, gusts, recorder)
     card = read_card(str(tmp_path / "card.toml"))
-    found = diagnose([read_record(path, card.channels) for path in files], card, seed=int(seed), gains_wanted=False)
+    found = diagnose(
+        [read_record(path, card.channels) for path in files],
+        card,
+        seed=int(seed),
+        settings=DiagnosisSettings(gains=False),
+    )
     if name is None:
         assert not found.unknown
         assert {cause.name for cause in found.causes} <= ({"vertical_wind"} if gusts else set())
@@ -147,7 +164,7 @@ def test_a_linear_model_is_extended_to_the_stall_that_was_flown(card):
     seed = int(np.random.default_rng(611).integers(1_000_000))
     flights = hidden_flights({}, seed=seed, noise="ar1", seconds=90.0)
     records, truth = [flight.record for flight in flights], flights[0].values
-    found = diagnose(records, card, model=Model.of(LINEAR), seed=seed, gains_wanted=False)
+    found = diagnose(records, card, model=Model.of(LINEAR), seed=seed, settings=DiagnosisSettings(gains=False))
     assert {cause.name for cause in found.causes} == STALL
     assert found.causes[0].name == "flow_separation"
     for cause in found.causes:
@@ -184,7 +201,7 @@ def test_a_wrong_form_of_the_coefficients_is_no_stall_and_no_camber(tmp_path, fe
     rng = np.random.default_rng([1, 54])
     records, card = polynomial_fighter(tmp_path, Fighter(), plan, rng, 10.0, "longitudinal")
     shown = records if felt else [without_accelerometers(r) for r in records]
-    found = diagnose(shown, card, seed=1, gains_wanted=False, process_noise=False)
+    found = diagnose(shown, card, seed=1, settings=DiagnosisSettings(gains=False, process_noise=False))
     assert found.compared == (COEFFICIENTS if felt else TRAJECTORIES)
     assert not found.causes
     assert {term.coefficient for term in found.terms} == {"CL", "CD", "Cm"}
@@ -206,7 +223,7 @@ def test_no_cause_is_sure_that_a_form_of_a_nonlinear_fighter_explains_as_well(se
     plan = [(speed, kind) for speed in ((150.0, 100.0) if few else (190.0, 140.0, 110.0, 90.0)) for kind in kinds]
     axes = ("longitudinal", "lateral") if six else ("longitudinal",)
     records, card = polynomial_fighter(tmp_path, plane, plan, rng, 8.0 if few else 10.0, *axes)
-    found = diagnose(records, card, seed=seed, gains_wanted=False, process_noise=False)
+    found = diagnose(records, card, seed=seed, settings=DiagnosisSettings(gains=False, process_noise=False))
     assert not [c.name for c in found.causes if c.sure and c.name not in FORMS and not c.ambiguous_with]
     assert {one.coefficient for one in (*found.terms, *found.unknown)} >= {"CL", "Cm"}
     if seed == 3:
@@ -254,7 +271,7 @@ def test_what_a_stall_and_a_multistep_show_is_named(card):
         synthetic(Request(hidden, seed=53600 + 50 * k, manoeuvre=name, **more), card, CATALOGUE, name=name).record
         for k, (name, more) in enumerate(asked.items())
     ]
-    found = diagnose(records, card, seed=536, gains_wanted=False, process_noise=False)
+    found = diagnose(records, card, seed=536, settings=DiagnosisSettings(gains=False, process_noise=False))
     (cause,) = found.causes
     size = cause.parameters["CLadot"]
     assert cause.name == "alpha_dot_lift"
@@ -281,7 +298,7 @@ def set_between(seed: int):
 def test_what_is_set_between_manoeuvres_is_an_offset_and_no_cause(tmp_path):
     planes, records = set_between(2)
     card = six_axes.card_in(tmp_path, Plane(**six_axes.ATTACHED), six_axes.LONGITUDINAL, ("longitudinal",))
-    found = diagnose(records, card, seed=1, gains_wanted=False, process_noise=False)
+    found = diagnose(records, card, seed=1, settings=DiagnosisSettings(gains=False, process_noise=False))
     assert found.verdict is Verdict.UNEXPLAINED
     assert not found.causes
     assert not found.terms
@@ -411,7 +428,7 @@ def test_the_coefficients_deny_a_correction_that_harms_them(silent, card, monkey
         return replace(found, state=state, fit=state.fit(), sizes=sizes, causes=(name,))
 
     monkeypatch.setattr(stages, "check_sensors", wrong)
-    found = diagnose(silent, card, gains_wanted=False)
+    found = diagnose(silent, card, settings=DiagnosisSettings(gains=False))
     assert found.verdict is Verdict.NO_EFFECT, [c.name for c in found.causes]
     assert any("airspeed_bias" in note for note in found.notes)
 
@@ -494,7 +511,7 @@ def test_a_slope_that_noise_of_the_vane_attenuates_is_no_change(seed, tmp_path):
     rng = np.random.default_rng(seed)
     plane = Plane() if seed == 9 else drawn(rng)
     records = [six_axes.record(k, fly(plane, k, rng, seconds=20.0), rng) for k in ("elevator", "aileron", "rudder")]
-    found = diagnose(records, six_axes.card_in(tmp_path, plane), seed=seed, gains_wanted=False)
+    found = diagnose(records, six_axes.card_in(tmp_path, plane), seed=seed, settings=DiagnosisSettings(gains=False))
     assert found.verdict is Verdict.NO_EFFECT
     assert not found.changes
 
@@ -510,7 +527,7 @@ def test_a_slope_that_noise_of_the_vane_attenuates_is_no_change(seed, tmp_path):
 def test_a_parameter_that_changes_is_found_with_its_time_and_size(name, size, seed, noise, card):
     """Cm0 as a stuck tab or half a degree of elevator changes it; CLaM at Mach 0.3 as ice takes 5 % of the lift."""
     records = changed(name, size, seed=seed, noise=noise, seconds=90.0)
-    found = diagnose(records, card, seed=seed, gains_wanted=False)
+    found = diagnose(records, card, seed=seed, settings=DiagnosisSettings(gains=False))
     assert found.verdict is Verdict.UNEXPLAINED
     assert not found.causes
     (change,) = found.changes

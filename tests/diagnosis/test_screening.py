@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from gusty_flight import TRUTH as GUSTY_TRUTH
 from gusty_flight import gusty_flight
-from parts import part, with_candidates
+from parts import cause, part, with_candidates
 from scipy import stats
 from scipy.linalg import lstsq
 from scipy.signal import lfilter
 
 from bayes_aero.diagnosis import diagnose, selection
 from bayes_aero.diagnosis.diagnose import compared, judged_on_held_out_flights, profiles
-from bayes_aero.diagnosis.result import Absorbed, Confirmation, Size, Verdict, as_absorbed
+from bayes_aero.diagnosis.result import Absorbed, Confirmation, Size, Verdict, verdict_of
 from bayes_aero.diagnosis.screening import (
     Autocorrelation,
     CandidateScore,
@@ -556,9 +556,9 @@ def test_elsewhere_nothing_is_taken_up(held, moves, hidden):
 
 def test_what_is_taken_up_is_in_the_verdict_the_text_and_the_file(diagnosed):
     found = absorbed(fitted(np.full(SAMPLES, 0.0075), 9e-4))
-    assert as_absorbed(Verdict.NO_EFFECT, found) is Verdict.UNDECIDED
-    assert as_absorbed(Verdict.NO_EFFECT, ()) is Verdict.NO_EFFECT
-    assert as_absorbed(Verdict.EXPLAINED, found) is Verdict.EXPLAINED
+    assert verdict_of((), (), absorbed=found) is Verdict.UNDECIDED
+    assert verdict_of((), ()) is Verdict.NO_EFFECT
+    assert verdict_of([cause()], (), absorbed=found) is Verdict.EXPLAINED
     silent = replace(diagnosed.view.diagnosis, causes=(), unknown=(), changes=(), tested=None)
     for taken_up, verdict in ((found, Verdict.UNDECIDED), ((), Verdict.NO_EFFECT)):
         after = judged_on_held_out_flights(replace(silent, absorbed=taken_up), Confirmation((), {}))
