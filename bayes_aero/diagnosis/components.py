@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
 from typing import NamedTuple
@@ -45,6 +45,9 @@ from bayes_aero.inference.covariance import ORDER, nats
 from bayes_aero.physics.aircraft import LATERAL, Aircraft
 from bayes_aero.physics.kinematics import reduced, reduced_lateral
 from bayes_aero.residuals.base import Signals
+
+Rows = Float[np.ndarray, "m c"]
+Columns = Int[np.ndarray, " k"]
 
 # --- Terms that nobody listed: products, breaks, bumps, what acts in separated flow alone, memory.
 # A term is a product of factors. A factor is a nondimensional quantity of the flight, a function of the angle of
@@ -228,7 +231,7 @@ def _in_each(
 
 def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
     """Coefficients whose mean residual differs between manoeuvres beyond chance, as that of a function must."""
-    left = [c for c in state.outputs if c not in state.apart]
+    left, settings = [c for c in state.outputs if c not in state.apart], state.settings
     if len(state.responses.flights.lengths) == 1 or not left or not has_chunks(state):
         return ()
     folds, of = chunks(state), (state.full, state.responses.manoeuvre, state.outputs, state.S)
@@ -236,8 +239,8 @@ def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
     whole, differing = state.with_components(components, (), folds), []
     for component in components:
         trial = Trial(state, component, (), folds)
-        enough = trial.share >= state.settings.unnamed_share and trial.gain > 0.0
-        if enough and trial.chance([whole], seed) <= state.settings.unnamed_false_alarm_rate:
+        enough = trial.share >= settings.unnamed_share and trial.gain > 0.0
+        if enough and trial.chance([whole], seed) <= settings.unnamed_false_alarm_rate:
             differing.append(component.coefficient)
     return tuple(differing)
 
@@ -267,17 +270,14 @@ def has_chunks(state: SelectionState) -> bool:
 def in_batches(state: SelectionState, components: Sequence[Component], folds: Sequence[slice]) -> list[list[Component]]:
     """The components in as few sets as memory allows: inner products of all columns grow with their number squared."""
     each = 8.0 * len(folds) * state.residual.shape[1]  # bytes of one pair of columns
-    most = max(int(np.sqrt(BYTES / each)) - state.S.shape[2], 1)
-    batches: list[list[Component]] = [[]]
-    width = 0
+    most, batches, width = max(int(np.sqrt(BYTES / each)) - state.S.shape[2], 1), list[list[Component]](), 0
     for component in components:
-        wide = component.basis.shape[2]
-        if batches[-1] and width + wide > most:
+        if not batches or width + component.basis.shape[2] > most:
             batches.append([])
             width = 0
         batches[-1].append(component)
-        width += wide
-    return batches
+        width += component.basis.shape[2]
+    return batches or [[]]
 
 
 class Trial:
@@ -297,6 +297,10 @@ class Trial:
     def fit(self) -> RegressionFit:
         return self.state.fit(self.wide)
 
+    @property
+    def left(self) -> Rows:
+        return self.state.left(self.fit)
+
     @cached_property
     def share(self) -> float:
         """Share of a coefficient's remaining variance that it takes away, at best over the coefficients."""
@@ -308,9 +312,8 @@ class Trial:
 
     def chance(self, among: Sequence[SelectionState], seed: int) -> float:
         """How often noise of the colour that is left alone lets some component of these explain as large a share."""
-        colour = autocorrelation_of(self.state.left(self.fit), self.state.folds)
-        nulls = [null_shares(state, colour, self.fit.variance, seed) for state in among]
-        return chance_of(self.share, np.max(nulls, axis=0))
+        colour = autocorrelation_of(self.left, self.state.folds)
+        return chance_of(self.share, np.max([null_shares(x, colour, self.fit.variance, seed) for x in among], axis=0))
 
 
 # --- The library's terms, and polynomials, as columns of a regression.
@@ -429,19 +432,10 @@ class FoundChange(FoundComponent):
     at: tuple[int, int]  # its place in the scan (span, parameter)
     unit: float  # what a step of one is of the component
     scan: ChangeScan
-    residual: Float[np.ndarray, "m c"]
-    folds: tuple[slice, ...]
+    residual: Rows
     colour: Autocorrelation
     gain: float  # deviance that it takes away
     gained: float  # deviance of the parts left out
-
-    @property
-    def span(self) -> Span:
-        return self.scan.over[self.at[0]]
-
-    @property
-    def column(self) -> int:
-        return int(self.scan.columns[self.at[1]])
 
 
 def sought_change(
@@ -452,50 +446,60 @@ def sought_change(
     first = _promising(state, chosen, least) if testable(state) else None
     if first is None:
         return None
-    state = _beside(state, [*chosen, first[0]])
-    folds = manoeuvres(state.responses.manoeuvre)
-    whole = state.with_components((), chosen, folds)
-    wider = Trial(state, first[0], chosen, folds).fit
+    # All active parameters at their optimum with it beside them.
+    wide, folds = state.with_components((), [*chosen, first[0]]), manoeuvres(state.responses.manoeuvre)
+    state = moved(state, optimum(wide, range(len(state.folds))))
+    whole, wider = state.with_components((), chosen, folds), Trial(state, first[0], chosen, folds).fit
     # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
-    held = whole.fit(whole.columns(), held=wider.variance)
+    held = whole.fit(held=wider.variance)
     scan, residual = ChangeScan(whole, held, first[1].columns, first[1].over, first[1].noise), whole.left(held)
-    at = _leader(scan, scan.estimates(residual))[0]
-    component, unit = _change(state, scan, at)
+    at, _, _ = scan.leader(residual)
+    component, unit = scan.component(state, at)
     trial, gained = Trial(state, component, chosen, folds), holdout_gain_of(state, component, chosen)
     enough = trial.share >= (settings.single_share if alone else settings.change_share) and gained > least
     if not enough or _by_noise(trial, scan, at, unit):
         return None
-    colour, p = _p_value(whole, held, scan, trial.state.left(trial.fit), seed)
+    # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
+    noise, colour = SharedNoise(seed, folds, len(state.outputs), settings), autocorrelation_of(trial.left, folds)
+    again = [scan.without_leader(x) for x in noise_records(whole, held, colour, noise.correction)]
+    colour = unbiased(colour, autocorrelations_of(np.array(again), folds))
+    nulls = [scan.statistic(x) for x in noise_records(whole, held, colour, noise.replicates)]
+    p = chance_of(scan.statistic(residual), np.array(nulls))
     if p > settings.change_false_alarm_rate:
         return None
     gain = whole.fit().deviance - trial.fit.deviance
-    return FoundChange(state, component, trial.share, p, at, unit, scan, residual, folds, colour, gain, gained)
+    return FoundChange(state, component, trial.share, p, at, unit, scan, residual, colour, gain, gained)
 
 
 def testable(state: SelectionState) -> bool:
     """Whether the state is of coefficients that are modelled, and every manoeuvre long enough to be divided."""
-    parts = parts_of(state, state.settings.change_parts)
-    long = all(part.stop - part.start > ORDER for part in parts)
-    return state.of_coefficients and long and bool(len(_free(state)) and _over(state))
+    long = all(part.stop - part.start > ORDER for part in parts_of(state, state.settings.change_parts))
+    return state.of_coefficients and long and all(map(len, _scanned(state)))
+
+
+def _scanned(state: SelectionState) -> tuple[Columns, list[Span]]:
+    """Columns of the parameters of the aerodynamics that are in, and the times at which they may change."""
+    moved = [e for e in state.full.model.effects if e.kind is Kind.AERODYNAMICS and e.stage > Stage.INFLOW]
+    own, names = {p for e in moved for p in state.full.parameters_of(e.name)}, state.full.model.names
+    columns = np.array([c for c in state.columns() if c < len(names) and names[c] in own], int)
+    least = max(1, round(state.settings.change_least / state.responses.seconds))
+    return columns, spans(state.responses.manoeuvre, least, state.settings.change_begins)
 
 
 def _promising(state: SelectionState, chosen: Sequence[Component], least: float) -> tuple[Component, ChangeScan] | None:
     """The change that explains most to first order, if that is worth another look."""
-    folds = manoeuvres(state.responses.manoeuvre)
-    whole = state if not chosen and folds == state.folds else state.with_components((), chosen, folds)
-    fit, columns = whole.fit(), _free(state)
+    whole, (columns, over) = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre)), _scanned(state)
     # What noise of the recorded size adds to the sensitivities, scaled as those are. Added once more it adds as much as
-    # the noise that is there already, as in `accuracy.noise_effect`.
-    flights, rng = state.responses.flights, np.random.default_rng(0)
+    # the noise that is there already, as in `selection.noise_effect`.
+    flights, rng, fit = state.responses.flights, np.random.default_rng(0), whole.fit()
     added = {n: sd * rng.standard_normal(flights.n) for n, sd in recording_noise(flights).items()}
     noisy = flights.channels | {name: flights.channels[name] + x for name, x in added.items()}
     slopes = state.responses.with_channels(noisy).linearise(state.theta, columns)[1][:, state.kept_outputs]
-    noise = slopes / state.noise_growth[:, :, None] - state.scaled[:, :, columns]
-    scan = ChangeScan(whole, fit, columns, _over(state), noise)
-    leader, gain = _leader(scan, scan.estimates(whole.left(fit)))
+    scan = ChangeScan(whole, fit, columns, over, slopes / state.noise_growth[:, :, None] - state.scaled[:, :, columns])
+    at, gain, _ = scan.leader(whole.left(fit))
     if gain < state.settings.least_share * len(state.residual):
         return None
-    component, _ = _change(state, scan, leader)
+    component, _ = scan.component(state, at)
     return (component, scan) if holdout_gain_of(state, component, chosen) > least else None
 
 
@@ -512,70 +516,9 @@ def _by_noise(trial: Trial, scan: ChangeScan, place: tuple[int, int], unit: floa
     return bool(np.max(least) <= np.min(most))
 
 
-def _beside(state: SelectionState, components: Sequence[Component]) -> SelectionState:
-    """The state at the optimum of all active parameters, these components free beside them."""
-    place = len(state.theta) + state.nuisance
-    columns = np.concatenate([c.basis for c in components], axis=2)
-    S = np.concatenate([state.S[:, :, :place], columns, state.S[:, :, place:]], axis=2)
-    mean, precision = (np.insert(x, [place] * columns.shape[2], 0.0) for x in (state.mean, state.precision))
-    nuisance = state.nuisance + columns.shape[2]
-    wide = replace(state, S=S, mean=mean, precision=precision, nuisance=nuisance)
-    return moved(state, optimum(wide, range(len(state.folds))))
-
-
 def holdout_gain_of(state: SelectionState, component: Component, chosen: Sequence[Component]) -> float:
     """Deviance that a component gains on parts of the manoeuvres that were left out, each predicted from the others."""
     return Trial(state, component, chosen, parts_of(state, state.settings.change_parts)).gain
-
-
-def _free(state: SelectionState) -> Int[np.ndarray, " p"]:
-    moved = [e for e in state.full.model.effects if e.kind is Kind.AERODYNAMICS and e.stage > Stage.INFLOW]
-    own, names = {p for e in moved for p in state.full.parameters_of(e.name)}, state.full.model.names
-    return np.array([c for c in state.columns() if c < len(names) and names[c] in own], int)
-
-
-def _over(state: SelectionState) -> list[Span]:
-    least = max(1, round(state.settings.change_least / state.responses.seconds))
-    return spans(state.responses.manoeuvre, least, state.settings.change_begins)
-
-
-def _leader(scan: ChangeScan, estimates: Float[np.ndarray, "n p"]) -> tuple[tuple[int, int], float]:
-    gains = scan.gains(estimates)
-    span, parameter = np.unravel_index(int(np.argmax(gains)), gains.shape)
-    return (int(span), int(parameter)), float(gains[span, parameter])
-
-
-def _change(state: SelectionState, scan: ChangeScan, at: tuple[int, int]) -> tuple[Component, float]:
-    """What a change adds, about as large as the residuals, and its size."""
-    span, column = scan.over[at[0]], int(scan.columns[at[1]])
-    basis = np.zeros((*state.residual.shape, 1))
-    basis[span.begin : span.end, :, 0] = state.S[span.begin : span.end, :, column]
-    unit = 1.0 / float(np.sqrt(np.max(np.mean(basis**2, axis=0))))
-    return Component(state.full.model.names[column], f"blocks from {span.begin}", unit * basis), unit
-
-
-def _p_value(
-    state: SelectionState, fit: RegressionFit, scan: ChangeScan, left: Float[np.ndarray, "m c"], seed: int
-) -> tuple[Autocorrelation, float]:
-    """The colour of the noise that is `left` with the change in, and how often noise alone shows as much of one."""
-    noise = SharedNoise(seed, state.folds, left.shape[1], state.settings)
-
-    def without_leader(residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
-        estimates = scan.estimates(residual)
-        leader, _ = _leader(scan, estimates)
-        return residual - scan.explained(*leader, float(estimates[leader]))
-
-    def statistic(residual: Float[np.ndarray, "m c"]) -> float:
-        """Deviance that the leader takes away over what it leaves."""
-        gain = _leader(scan, scan.estimates(residual))[1]
-        return gain / (float(np.sum(residual**2 * scan.weight)) - gain)
-
-    # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
-    first = autocorrelation_of(left, state.folds)
-    again = np.array([without_leader(record) for record in noise_records(state, fit, first, noise.correction)])
-    colour = unbiased(first, autocorrelations_of(again, state.folds))
-    nulls = np.array([statistic(record) for record in noise_records(state, fit, colour, noise.replicates)])
-    return colour, chance_of(statistic(state.left(fit)), nulls)
 
 
 # --- Every moment at which a parameter may take another value, all parameters at once, from cumulated products.
@@ -630,9 +573,8 @@ class ChangeScan:
         cross = self._summed(np.matmul(np.moveaxis(self._weighed, 1, 2), self._B))
         self._shares = cross @ inverse(fit.normal)  # n p k
         information = own - np.sum(self._shares * cross, axis=2)
-        whole = np.sum(self._S * self._weighed, axis=(0, 1))
         self.noise_shares = self._noise_shares(fit, own, cross)
-        noisy = np.any(self.noise_shares > NOISY, axis=0)
+        whole, noisy = np.sum(self._S * self._weighed, axis=(0, 1)), np.any(self.noise_shares > NOISY, axis=0)
         self._idle = noisy | (information <= NOTHING * whole)  # what the model can do as well
         self.information = np.where(self._idle, 1.0, information)
 
@@ -675,6 +617,31 @@ class ChangeScan:
     def gains(self, estimates: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n p"]:
         return estimates**2 * self.information
 
+    def leader(self, residual: Rows) -> tuple[tuple[int, int], float, float]:
+        """The change that explains most of a residual: its place, the deviance that it takes away, its estimate."""
+        estimates = self.estimates(residual)
+        gains = self.gains(estimates)
+        span, parameter = np.unravel_index(int(np.argmax(gains)), gains.shape)
+        at = int(span), int(parameter)
+        return at, float(gains[at]), float(estimates[at])
+
+    def without_leader(self, residual: Rows) -> Rows:
+        at, _, estimate = self.leader(residual)
+        return residual - self.explained(*at, estimate)
+
+    def statistic(self, residual: Rows) -> float:
+        """Deviance that the leader takes away over what it leaves."""
+        gain = self.leader(residual)[1]
+        return gain / (float(np.sum(residual**2 * self.weight)) - gain)
+
+    def component(self, state: SelectionState, at: tuple[int, int]) -> tuple[Component, float]:
+        """What a change adds, about as large as the residuals, and its size."""
+        span, column = self.over[at[0]], int(self.columns[at[1]])
+        basis = np.zeros((*state.residual.shape, 1))
+        basis[span.begin : span.end, :, 0] = state.S[span.begin : span.end, :, column]
+        unit = 1.0 / float(np.sqrt(np.max(np.mean(basis**2, axis=0))))
+        return Component(state.full.model.names[column], f"blocks from {span.begin}", unit * basis), unit
+
     def explained(self, span: int, parameter: int, estimate: float) -> Float[np.ndarray, "m c"]:
         """What a change of this size takes away of the residual, scaled as that is."""
         explained = -self._B @ self._shares[span, parameter]
@@ -692,18 +659,17 @@ def reported_change(
     state: SelectionState, change: FoundChange, chosen: Sequence[Component], election: ScreeningResult | None
 ) -> ParameterChange:
     """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
-    span = change.span
-    begin = int(np.argmax(state.responses.manoeuvre == span.manoeuvre))
-    before, after, size = _sizes(state, change, chosen)
+    span, column = change.scan.over[change.at[0]], int(change.scan.columns[change.at[1]])
+    begin, parameter = int(np.argmax(state.responses.manoeuvre == span.manoeuvre)), state.full.model.free[column]
+    before, after, size = _sizes(state, change, chosen, column)
     nearest, rivals, inflation = _as_good(state, change)
-    seconds, parameter = state.responses.seconds, state.full.model.free[change.column]  # a block is as fine as it gets
-    scores = [] if election is None else election.candidate_scores
+    seconds, scores = state.responses.seconds, [] if election is None else election.candidate_scores
     effects = [s.effect for s in scores if nats(change.gain - s.gain, inflation) < state.settings.ambiguous]
     return ParameterChange(
         parameter=parameter.name,
         unit=parameter.unit,
         manoeuvre=state.responses.flights.names[span.manoeuvre],
-        at=(span.begin - begin) * seconds,
+        at=(span.begin - begin) * seconds,  # a block is as fine as it gets
         interval=(max(nearest[0] - 1 - begin, 0) * seconds, (nearest[1] + 1 - begin) * seconds),
         lasts=span.end == len(state.residual),
         before=before,
@@ -716,23 +682,18 @@ def reported_change(
     )
 
 
-Value = tuple[float, float]
-
-
-def _sizes(state: SelectionState, change: FoundChange, chosen: Sequence[Component]) -> tuple[Value, Value, Value]:
+def _sizes(
+    state: SelectionState, change: FoundChange, chosen: Sequence[Component], column: int
+) -> list[tuple[float, float]]:
     """Value before, after, and their difference, with standard errors; all that is in is fitted beside."""
     whole = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre))
-    fit = whole.fit()
-    covariance = uncertainty(whole, fit)
-    widths = [c.basis.shape[2] for c in chosen]
+    fit, widths = whole.fit(), [c.basis.shape[2] for c in chosen]
     place = len(fit.columns) - sum(widths) + sum(widths[: [c is change.component for c in chosen].index(True)])
-    (at,) = fit.places([change.column])
-    combinations = np.zeros((3, len(fit.columns)))
+    (at,), combinations = fit.places([column]), np.zeros((3, len(fit.columns)))
     combinations[[0, 1], at], combinations[[1, 2], place] = 1.0, change.unit
-    sd = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", combinations, covariance, combinations), 0.0))
-    values = combinations @ fit.step + state.theta[change.column] * np.array([1.0, 1.0, 0.0])
-    before, after, size = ((float(x), float(s)) for x, s in zip(values, sd, strict=True))
-    return before, after, size
+    variance = np.einsum("ai,ij,aj->a", combinations, uncertainty(whole, fit), combinations)
+    values = combinations @ fit.step + state.theta[column] * np.array([1.0, 1.0, 0.0])
+    return [(float(x), float(sd)) for x, sd in zip(values, np.sqrt(np.maximum(variance, 0.0)), strict=True)]
 
 
 def _as_good(state: SelectionState, change: FoundChange) -> tuple[tuple[int, int], list[str], float]:
@@ -742,17 +703,12 @@ def _as_good(state: SelectionState, change: FoundChange) -> tuple[tuple[int, int
     gains, own = scan.gains(estimates), scan.over[span]
     same = [i for i, other in enumerate(scan.over) if (other.manoeuvre, other.end) == (own.manoeuvre, own.end)]
     same = sorted(same, key=lambda i: -gains[i, parameter])[:NEAREST]
-    best = np.argmax(gains, axis=0)
-    others = [(int(best[p]), p) for p in range(len(scan.columns)) if p != parameter]
+    others = [(int(best), p) for p, best in enumerate(np.argmax(gains, axis=0)) if p != parameter]
     places = [(span, parameter), *((i, parameter) for i in same), *others]
-
-    def explained(place: tuple[int, int]) -> Float[np.ndarray, "m c"]:
-        return scan.explained(*place, float(estimates[place]))
-
     # Two changes are told from each other by the residual along the difference of what they explain.
-    leader = explained((span, parameter))
-    apart = np.stack([leader, *(leader - explained(place) for place in places[1:])], axis=2)
-    inflation = inflation_along(apart, scan.weight, change.folds, change.colour)
+    apart = np.stack([scan.explained(*place, float(estimates[place])) for place in places], axis=2)
+    apart[:, :, 1:] = apart[:, :, :1] - apart[:, :, 1:]
+    inflation = inflation_along(apart, scan.weight, manoeuvres(state.responses.manoeuvre), change.colour)
     lost = [nats(float(gains[span, parameter] - gains[p]), float(x)) for p, x in zip(places, inflation, strict=True)]
     times = [scan.over[i].begin for i, x in zip(same, lost[1:], strict=False) if x <= settings.change_interval]
     names = [state.full.model.names[scan.columns[p]] for _, p in others]

@@ -66,6 +66,7 @@ from bayes_aero.diagnosis.selection import (
 )
 from bayes_aero.diagnosis.selection_state import (
     DEFAULT,
+    CandidateModel,
     DiagnosisSettings,
     RegressionFit,
     SelectionState,
@@ -189,14 +190,15 @@ def causes_of(
         if sure is not None and extension.causes:
             measured = gains_of(extension, searched.model, sure.kept, progress)
         forms = searched.forms if extension is searched.model else {}
-        causes += _causes_in(stage, extension, extension.causes, sure, measured, forms)
+        causes += _causes_in(searched.full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
             out = without_hold(larger) if stage == FLIGHT_PATH else larger.implausible
-            causes += _causes_in(stage, larger, [n for n in larger.causes if n in out], None, {}, {})
+            causes += _causes_in(searched.full, stage, larger, [n for n in larger.causes if n in out], None, {}, {})
     return causes
 
 
 def _causes_in(
+    full: CandidateModel,
     stage: str,
     extension: Extension,
     names: Sequence[str],
@@ -210,13 +212,13 @@ def _causes_in(
         return causes
     joint, noise = correlated(extension, extension.causes), noise_shares(state, extension.fit)
     undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
-    effects = {e.name: e for e in state.full.model.effects}
+    effects = {e.name: e for e in full.candidates}
     for name in names:
         effect, in_place = effects[name], dict[str, tuple[float, float]]()
         probability, others = rivals_of(extension, name, noise=noise[name])
         if sure is not None and name in sure.kept:
             in_place = rival_gains(extension, name, others, sure.kept)
-            if worse := [rival for rival, gain in in_place.items() if state.settings.degrades(*gain)]:
+            if worse := [rival for rival, gain in in_place.items() if full.settings.degrades(*gain)]:
                 probability, others = rivals_of(extension, name, worse, noise[name])
         if name in forms:  # the odds of the form against the cause
             probability = float(1.0 / (1.0 / max(probability, 1e-300) + np.exp(-forms[name][1])))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -115,17 +115,15 @@ def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
 def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseReport:
     """Colour, size, growth and outliers of what the extended model leaves; of coefficients at the recorded rate."""
     state, names = extension.state, extension.state.outputs
+    left, growth = state.left(extension.fit), np.ones(len(names))
     if state.of_coefficients:
         left = state.responses.predict(state.theta)["residual"][:, : len(names)]
-        blocks, manoeuvre = np.asarray(state.responses.block(left)), state.responses.manoeuvre
-        lag1 = [lag1_within(x, manoeuvre) for x in blocks.T]
-        growth = [float(x) for x in state.noise_growth.max(axis=0)]
+        blocks, growth = np.asarray(state.responses.block(left)), state.noise_growth.max(axis=0)
+        lag1 = [lag1_within(x, state.responses.manoeuvre) for x in blocks.T]
     else:
-        left = state.left(extension.fit)
         lag1 = [float(np.sum(x[1:] * x[:-1]) / np.sum(x**2)) for x in left.T]
-        growth = [1.0] * len(names)
-    deviation = {name: float(x.std()) for name, x in zip(names, left.T, strict=True)}
-    colour, grown = (dict(zip(names, x, strict=True)) for x in (lag1, growth))
+    by_output = [lag1, [float(x.std()) for x in left.T], list(map(float, growth))]
+    colour, deviation, grown = (dict(zip(names, x, strict=True)) for x in by_output)
     return NoiseReport(colour, deviation, grown, dict(outliers), state.responses.white)
 
 
@@ -154,15 +152,13 @@ class Search:
         mle = fit_mle(self.model, observe(self.records, self.card, self.model), seed=self.seed)
         theta = full.vector(dict(zip(mle.names, mle.estimate, strict=True)))
         responses = EquationError.of(flights, full.model)
-        both = search_in_stages(full, responses, theta, seed=self.seed, progress=self.progress)
+        sensors, model, denied = search_in_stages(full, responses, theta, seed=self.seed, progress=self.progress)
         left, failures = attempted(
-            "Unexplained structure was not sought",
-            lambda: unexplained(both.aerodynamics, seed=self.seed + 2000),
-            Left(),
+            "Unexplained structure was not sought", lambda: unexplained(model, seed=self.seed + 2000), Left()
         )
         forms, failed = attempted(
             "The form of unexplained structure was not sought",
-            lambda: forms_of(both.aerodynamics, left, seed=self.seed + 3000),
+            lambda: forms_of(model, left, seed=self.seed + 3000),
             Forms((), ()),
         )
         notes = []
@@ -171,16 +167,16 @@ class Search:
                 f"The record shows no white noise of {', '.join(filtered)} (filtered before recording, or none): sizes "
                 "are not corrected for the bias from such noise, and their intervals do not include it."
             )
-        if not has_chunks(both.aerodynamics.state):
+        if not has_chunks(model.state):
             notes.append("Periodic structure was not tested: a manoeuvre is too short to be divided into blocks.")
         notes += [
             f"The flight path alone selects {name}, which can be due to gusts. This correction degrades the fit of the "
             "coefficients by more than the flight path gains, so it is not made."
-            for name in both.denied
+            for name in denied
         ]
         forms = forms._replace(unknown=described(left.unknown, forms))
-        extensions = both.sensors, withdrawn(both.aerodynamics, (*left.replaced, *forms.replaced), forms.sizes)
-        return self._result(full, extensions, forms, outliers, (notes, (*failures, *failed)), left.changes)
+        extensions = sensors, withdrawn(model, (*left.replaced, *forms.replaced), forms.sizes)
+        return self._result(full, extensions, forms, outliers, notes, (*failures, *failed), left.changes)
 
     def _result(
         self,
@@ -188,15 +184,15 @@ class Search:
         extensions: Sequence[Extension | None],
         forms: Forms,
         outliers: Mapping[str, int],
-        notes_and_failures: tuple[Sequence[str], Sequence[str]],
+        notes: Sequence[str],
+        failures: Sequence[str],
         changes: tuple[ParameterChange, ...] = (),
     ) -> SearchResult:
         stages = {x.state.responses.stage: x for x in extensions if x is not None}
         model = list(stages.values())[-1]
-        unknown = (*forms.unknown, *offsets_found(model, forms.idle))
-        notes, failures = map(tuple, notes_and_failures)
-        noise = noise_report(model, outliers)
-        return SearchResult(full, stages, unknown, noise, notes, failures, changes, forms.terms, forms.rivals)
+        unknown, noise = (*forms.unknown, *offsets_found(model, forms.idle)), noise_report(model, outliers)
+        about = tuple(notes), tuple(failures), changes, forms.terms, forms.rivals
+        return SearchResult(full, stages, unknown, noise, *about)
 
     def innovations(self) -> SearchResult:
         """What a filter does not foresee: a gust moves vane and accelerometers together, as no error of a sensor."""
@@ -209,8 +205,31 @@ class Search:
         brief = segments(flights, base, window=FIRST[-1], substeps=base.substeps(start, flights))
         fit = self._inside(fit_output_error(brief, max_iterations=START_STEPS))
         full = without_lags(candidate_model(self.model, flights, self.extra, self.settings))
-        values = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
-        extension, status = _searched(_Filtered(full, flights, base, fit.R), values, self.seed, self.progress)
+        begin = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
+        status = PredictionErrorStatus.CONVERGED
+
+        def select(barred: tuple[str, ...]) -> Extension:
+            """One addition after the other; after each, gusts and noise are estimated anew."""
+            nonlocal status
+            known, active, apart, filtered = begin, (), (), None
+            steps: tuple[SelectionStep, ...] = ()
+            first: Extension | None = None
+            while True:
+                if self.progress:
+                    self.progress("process noise", 0.0)
+                state, filtered = filtered_state(full, base, flights, fit.R, known, active, filtered)
+                state = moved(state, state.theta, apart=apart)
+                room, seed = min(1, self.settings.max_effects - len(active)), self.seed + len(active)
+                added = selected(state, seed=seed, most=room, progress=self.progress, barred=barred)
+                first, steps, chosen = first or added, (*steps, *added.steps), added.state.active
+                # An addition that another has replaced ends the search: the two would replace each other for ever.
+                if chosen == active or set(active) - set(chosen):
+                    status = filtered.status
+                    return sized(replace(added, base=first.base, base_fit=first.base_fit, steps=steps))
+                known = dict(zip(state.full.model.names, added.state.theta, strict=True))
+                apart, active = added.state.apart, chosen
+
+        extension = plausible(select)
         notes = [
             "Of structure without a name, terms of the library are sought in innovations, and no functions of a "
             "channel or of time."
@@ -269,20 +288,12 @@ class Search:
         if still := taken_as_zero(flights):
             notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
         extension = withdrawn(extension, forms.replaced, forms.sizes)
-        return self._result(extension.state.full, [extension], forms, outliers, (notes, (*failures, *failed)))
+        return self._result(extension.state.full, [extension], forms, outliers, notes, (*failures, *failed))
 
 
 # --- The two stages of a diagnosis by coefficients, and what each has to say of the other's finding.
 # The flight path names errors of sensors that the coefficients would silently absorb. In gusts it may name one that is
 # not there; then the coefficients, which do not wander, lose far more by the correction than the flight path gains.
-
-
-class Stages(NamedTuple):
-    """Both elections; `sensors` is None without a flight path, `denied` what it named and the coefficients deny."""
-
-    sensors: Extension | None
-    aerodynamics: Extension
-    denied: tuple[str, ...] = ()
 
 
 def search_in_stages(
@@ -292,7 +303,7 @@ def search_in_stages(
     *,
     seed: int,
     progress: Progress | None = None,
-) -> Stages:
+) -> tuple[Extension | None, Extension, tuple[str, ...]]:
     """The flight path first, where it was recorded; the coefficients with sensors corrected; then what these deny."""
 
     def coefficients(sensors: Extension | None) -> Extension:
@@ -311,11 +322,11 @@ def search_in_stages(
 
     path = FlightPathError.of(responses.flights, responses.model)
     if not path.outputs:
-        return Stages(None, coefficients(None))
+        return None, coefficients(None), ()
     if progress:
         progress("sensors", 0.0)
     sensors = check_sensors(full, path, theta, seed=seed)
-    aerodynamics, denied = coefficients(sensors), []
+    aerodynamics, denied = coefficients(sensors), list[str]()
     while (name := _denied(sensors, aerodynamics)) is not None:
         fewer = widened(sensors, *refitted(removed(sensors.state, name)))
         other = coefficients(fewer)
@@ -335,7 +346,7 @@ def search_in_stages(
             other = coefficients(again)
             if nats_gained(aerodynamics, other) > -full.settings.decisive:
                 sensors, aerodynamics = again, other
-    return Stages(sensors, aerodynamics, tuple(denied))
+    return sensors, aerodynamics, tuple(denied)
 
 
 def _after(full: CandidateModel, sensors: Extension | None) -> CandidateModel:
@@ -382,69 +393,34 @@ FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: be
 START_STEPS = 8  # of output error, from which the filter begins: its last ones settle what the filter moves again
 
 
-class _Filtered(NamedTuple):
-    """What is searched: candidates, flights, the card's dynamics, and the variances of output error."""
-
-    full: CandidateModel
-    flights: Flights
-    base: AircraftDynamics
-    R: Float[np.ndarray, " c"]
-
-    def state(
-        self,
-        known: Mapping[str, float],
-        active: tuple[str, ...],
-        before: PredictionErrorResult | None,
-        progress: Progress | None,
-    ) -> tuple[SelectionState, PredictionErrorResult]:
-        """The filter's fit with these additions, from the one `before`, and the problem linearised there."""
-        if progress:
-            progress("process noise", 0.0)
-        full, names = self.full, self.full.model.names
-        out = {p.name for e in full.model.effects if e.name not in (*full.base, *active) for p in e.parameters}
-        held = tuple((name, full.neutral[name]) for name in names if name in out)
-        dynamics = replace(self.base, model=replace(full.model, fixed=(*full.model.fixed, *held)))
-        start = np.array([known[name] for name in names if name not in out])
-        whole = segments(self.flights, dynamics, substeps=dynamics.substeps(start, self.flights))
-        gusty, filtered = fit_disturbed(whole, start, self.R, exact=False, similar=before)
-        if filtered.status is PredictionErrorStatus.DIVERGED:
-            raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
-        # The gusts' parameters are no candidate's, so that they stay what the filter found of them.
-        gusty_dynamics: Any = gusty.dynamics
-        gusts = [e for e in gusty_dynamics.model.effects if e.disturbance is not None and e not in full.model.effects]
-        full = replace(full, model=full.model.extended(*gusts))
-        theta = full.vector(dict(zip(filtered.names, filtered.estimate, strict=True)))
-        dynamics = replace(self.base, model=full.model)
-        responses = FilterError.after(gusty, filtered.estimate, filtered.R, filtered.found, dynamics)
-        return linearised(full, responses, responses.outputs, theta, active), filtered
-
-
-def _searched(
-    flown: _Filtered, begin: Mapping[str, float], seed: int, progress: Progress | None
-) -> tuple[Extension, PredictionErrorStatus]:
-    """One plausible addition after the other; after each, gusts and noise are estimated anew."""
-    statuses: list[PredictionErrorStatus] = []
-
-    def select(barred: tuple[str, ...]) -> Extension:
-        known, active, apart = begin, (), ()
-        steps: tuple[SelectionStep, ...] = ()
-        first: Extension | None = None
-        filtered: PredictionErrorResult | None = None
-        while True:
-            state, filtered = flown.state(known, active, filtered, progress)
-            state = moved(state, state.theta, apart=apart)
-            room = min(1, flown.full.settings.max_effects - len(active))
-            added = selected(state, seed=seed + len(active), most=room, progress=progress, barred=barred)
-            first, steps = first or added, (*steps, *added.steps)
-            chosen = added.state.active
-            # An addition that another one has replaced ends the search: the two would replace each other for ever.
-            if chosen == active or set(active) - set(chosen):
-                statuses.append(filtered.status)
-                return sized(replace(added, base=first.base, base_fit=first.base_fit, steps=steps))
-            known = dict(zip(state.full.model.names, added.state.theta, strict=True))
-            apart, active = added.state.apart, chosen
-
-    return plausible(select), statuses[-1]
+def filtered_state(
+    full: CandidateModel,
+    base: AircraftDynamics,
+    flights: Flights,
+    R: Float[np.ndarray, " c"],
+    known: Mapping[str, float],
+    active: tuple[str, ...],
+    before: PredictionErrorResult | None,
+) -> tuple[SelectionState, PredictionErrorResult]:
+    """The filter's fit with these additions, from the one `before`, and the problem linearised there; `R` are the
+    variances of output error."""
+    names = full.model.names
+    out = {p.name for e in full.model.effects if e.name not in (*full.base, *active) for p in e.parameters}
+    held = tuple((name, full.neutral[name]) for name in names if name in out)
+    dynamics = replace(base, model=replace(full.model, fixed=(*full.model.fixed, *held)))
+    start = np.array([known[name] for name in names if name not in out])
+    whole = segments(flights, dynamics, substeps=dynamics.substeps(start, flights))
+    gusty, filtered = fit_disturbed(whole, start, R, exact=False, similar=before)
+    if filtered.status is PredictionErrorStatus.DIVERGED:
+        raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
+    # The gusts' parameters are no candidate's, so that they stay what the filter found of them.
+    gusty_dynamics: Any = gusty.dynamics
+    gusts = [e for e in gusty_dynamics.model.effects if e.disturbance is not None and e not in full.model.effects]
+    full = replace(full, model=full.model.extended(*gusts))
+    theta = full.vector(dict(zip(filtered.names, filtered.estimate, strict=True)))
+    dynamics = replace(base, model=full.model)
+    responses = FilterError.after(gusty, filtered.estimate, filtered.R, filtered.found, dynamics)
+    return linearised(full, responses, responses.outputs, theta, active), filtered
 
 
 def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:
@@ -461,15 +437,10 @@ def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResul
 
 
 def _first_state(
-    full: CandidateModel,
-    flights: Flights,
-    base: AircraftDynamics,
-    values: Mapping[str, float],
-    active: tuple[str, ...] = (),
+    full: CandidateModel, flights: Flights, base: AircraftDynamics, values: Mapping[str, float], *active: str
 ) -> SelectionState:
     """The problem linearised where these parameters have these values and all others are neutral."""
-    theta = full.vector(values)
-    dynamics = replace(base, model=full.model)
+    theta, dynamics = full.vector(values), replace(base, model=full.model)
     responses = OutputError.of(flights, dynamics, dynamics.substeps(theta, flights))
     return linearised(full, responses, responses.outputs, theta, active)
 
@@ -483,24 +454,25 @@ def _with_lag(
     progress: Progress | None,
 ) -> Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
-    lag = lag_of(whole)
+    lag, base, settings = lag_of(whole), extension.base, whole.settings
     if lag is None or not extension.state.active:
         return None
     if progress:
         progress("lag of the separation point", 0.0)
-    base = extension.base
     values = dict(zip(base.full.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
-    state, fit = refitted(_first_state(whole, flights, dynamics, values, (lag.name,)))
-    among = extension.steps[0].screening
-    gain = nats(extension.base_fit.deviance - fit.deviance, extension.base.variance_inflation)
-    settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)
+    state, fit = refitted(_first_state(whole, flights, dynamics, values, lag.name))
+    screening = extension.steps[0].screening
+    gain, among = (
+        nats(extension.base_fit.deviance - fit.deviance, base.variance_inflation),
+        len(screening.candidate_scores) + 1,
+    )
+    chance = between_p_value(state, fit, lag.name, among)
     if not (gain > settings.decisive and chance <= settings.block_false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise
     other = plausible_selection(state, seed=seed, most=settings.max_effects - 1, progress=progress)
     if lag.name not in other.state.active or nats_gained(extension, other) <= settings.decisive:
         return None
-    p = between_p_value(other.state, other.fit, lag.name, len(among.candidate_scores) + 1)
-    step = SelectionStep(lag.name, p, among)
+    step = SelectionStep(lag.name, between_p_value(other.state, other.fit, lag.name, among), screening)
     return replace(other, base=base, base_fit=extension.base_fit, steps=(step, *other.steps))
 
 

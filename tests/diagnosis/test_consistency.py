@@ -439,8 +439,10 @@ def test_the_flight_path_is_selected_again_without_an_error_larger_than_sensors_
         return Extension(base, no_fit, state, no_fit, (), sizes, state.active, ())
 
     for name, given in {
-        "linearised": linearised, "forward_selection": selected, "widened": lambda found, *_: found,
-        "nats_gained": lambda *_: gained, "without_hold": lambda one: {n: {} for n in one.state.active},
+        "linearised": linearised, "selected": selected, "widened": lambda found, *_: found,
+        "sized": lambda found: found, "consistent_across_blocks": lambda *found: found,
+        "with_several_instead": lambda *found: found, "nats_gained": lambda *_: gained,
+        "without_hold": lambda one: {n: {} for n in one.state.active},
     }.items():  # fmt: skip
         monkeypatch.setattr(f"bayes_aero.diagnosis.consistency.{name}", given)
     monkeypatch.setattr(FlightPathError, "outputs", ("airspeed",))

@@ -355,13 +355,13 @@ def searched(tmp_path, seed, times, left_out=None, scale=1.0):
 def test_noise_of_the_regressors_is_no_error_of_a_sensor(tmp_path, seed, times, left_out, scale, causes):
     """r_dot, which is recorded well, then tells more of sideslip and rudder than their own channels: a lateral
     accelerometer 2 to 3 m away, were it believed. With the usual noise the missing effect is named."""
-    found = searched(tmp_path, seed, times, left_out, scale)
-    assert found.aerodynamics.causes == causes
+    sensors, aerodynamics, _ = searched(tmp_path, seed, times, left_out, scale)
+    assert aerodynamics.causes == causes
     if scale == 1.0:
-        assert found.sensors is not None
-        assert found.sensors.causes == ()
+        assert sensors is not None
+        assert sensors.causes == ()
     else:
-        size = found.aerodynamics.sizes["accel_y_scale"]
+        size = aerodynamics.sizes["accel_y_scale"]
         assert abs(size.mean + 0.15) < 1.96 * size.sd
 
 
@@ -369,7 +369,7 @@ def test_noise_of_the_regressors_is_no_error_of_a_sensor(tmp_path, seed, times, 
 @pytest.mark.parametrize("seed", [1, 3])
 def test_what_outdoes_its_rival_by_less_noise_alone_is_not_named_alone(tmp_path, seed):
     """With three times the noise an accelerometer 2 m away explains more than the missing effect of the rudder."""
-    found = searched(tmp_path, seed, 3.0, "rudder_side_force").aerodynamics
+    found = searched(tmp_path, seed, 3.0, "rudder_side_force")[1]
     noise = noise_shares(found.state, found.fit)
     for name in found.causes:
         assert "rudder_side_force" in (name, *rivals_of(found, name, noise=noise[name])[1])

@@ -575,9 +575,9 @@ def test_an_effect_of_six_axes_is_named_in_gusts_and_none_where_none_is_hidden(h
     truth = {"rudder_yaw": ("Cndr", plane.Cndr), "sideslip_scale": ("sideslip_scale", seen - 1.0)}
     assert [c.name for c in found.causes] == [hidden] * (hidden is not None)
     assert not found.unknown
-    for cause in found.causes:
-        name, true = truth[cause.name]
-        size = cause.parameters[name]
+    for one in found.causes:
+        name, true = truth[one.name]
+        size = one.parameters[name]
         assert abs(size.mean - true) < 3.0 * size.sd
 
 
