@@ -177,7 +177,7 @@ def score(found: Diagnosis, coefficient: str, name: str, values: dict[str, float
         return None
     whole = state.with_components((), [own[0].component], state.folds)
     fit = whole.fit()
-    variance = uncertainty(whole, fit, autocorrelation_of(whole.left(fit), whole.folds))[-1, -1]
+    variance = uncertainty(whole, autocorrelation_of(whole.left(fit), whole.folds))[-1, -1]
     if state.responses.parts is not None:
         variance = max(variance, block_jackknife_covariance(whole, fit)[1][-1, -1])
     return abs(values["unlisted_product"]) * own[0].scale / float(np.sqrt(variance))

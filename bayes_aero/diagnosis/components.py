@@ -304,7 +304,7 @@ class Trial:
     @cached_property
     def share(self) -> float:
         """Share of a coefficient's remaining variance that it takes away, at best over the coefficients."""
-        return float(np.max(1.0 - self.fit.variance / self.state.fit().variance))
+        return float(np.max(1.0 - self.fit.variance / self.state.best.variance))
 
     @cached_property
     def gain(self) -> float:
@@ -467,7 +467,7 @@ def sought_change(
     p = chance_of(scan.statistic(residual), np.array(nulls))
     if p > settings.change_false_alarm_rate:
         return None
-    gain = whole.fit().deviance - trial.fit.deviance
+    gain = whole.best.deviance - trial.fit.deviance
     return FoundChange(state, component, trial.share, p, at, unit, scan, residual, colour, gain, gained)
 
 
@@ -491,12 +491,12 @@ def _promising(state: SelectionState, chosen: Sequence[Component], least: float)
     whole, (columns, over) = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre)), _scanned(state)
     # What noise of the recorded size adds to the sensitivities, scaled as those are. Added once more it adds as much as
     # the noise that is there already, as in `selection.noise_effect`.
-    flights, rng, fit = state.responses.flights, np.random.default_rng(0), whole.fit()
+    flights, rng, fit = state.responses.flights, np.random.default_rng(0), whole.best
     added = {n: sd * rng.standard_normal(flights.n) for n, sd in recording_noise(flights).items()}
     noisy = flights.channels | {name: flights.channels[name] + x for name, x in added.items()}
     slopes = state.responses.with_channels(noisy).linearise(state.theta, columns)[1][:, state.kept_outputs]
     scan = ChangeScan(whole, fit, columns, over, slopes / state.noise_growth[:, :, None] - state.scaled[:, :, columns])
-    at, gain, _ = scan.leader(whole.left(fit))
+    at, gain, _ = scan.leader(whole.left())
     if gain < state.settings.least_share * len(state.residual):
         return None
     component, _ = scan.component(state, at)
@@ -687,11 +687,11 @@ def _sizes(
 ) -> list[tuple[float, float]]:
     """Value before, after, and their difference, with standard errors; all that is in is fitted beside."""
     whole = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre))
-    fit, widths = whole.fit(), [c.basis.shape[2] for c in chosen]
+    fit, widths = whole.best, [c.basis.shape[2] for c in chosen]
     place = len(fit.columns) - sum(widths) + sum(widths[: [c is change.component for c in chosen].index(True)])
     (at,), combinations = fit.places([column]), np.zeros((3, len(fit.columns)))
     combinations[[0, 1], at], combinations[[1, 2], place] = 1.0, change.unit
-    variance = np.einsum("ai,ij,aj->a", combinations, uncertainty(whole, fit), combinations)
+    variance = np.einsum("ai,ij,aj->a", combinations, uncertainty(whole), combinations)
     values = combinations @ fit.step + state.theta[column] * np.array([1.0, 1.0, 0.0])
     return [(float(x), float(sd)) for x, sd in zip(values, np.sqrt(np.maximum(variance, 0.0)), strict=True)]
 

@@ -32,7 +32,6 @@ from bayes_aero.diagnosis.selection_state import (
     TINY,
     CandidateModel,
     DiagnosisSettings,
-    RegressionFit,
     SelectionState,
     by_manoeuvre,
     candidate_model,
@@ -176,9 +175,9 @@ def check_sensors(
         own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
         state = linearised(own, responses, responses.outputs, theta)
         extension = selected(state, seed=seed)
-        after, fit = with_several_instead(*consistent_across_blocks(extension.state, extension.fit))
-        after, fit = consistent_across_blocks(after, fit)  # several errors, too, if stretches bear them out
-        return widened(sized(replace(extension, state=after, fit=fit)), after, fit)
+        after = with_several_instead(consistent_across_blocks(extension.state))
+        after = consistent_across_blocks(after)  # several errors, too, if stretches bear them out
+        return widened(sized(replace(extension, state=after)), after)
 
     extension = plausible(without, without_hold)
     first = (extension, *extension.larger)[-1]
@@ -240,7 +239,7 @@ def with_corrections(flights: Flights, model: Model, values: Mapping[str, Any]) 
 class Blocks:
     """Residuals and sensitivities of a fit, less each stretch's own mean: where it began is free."""
 
-    def __init__(self, state: SelectionState, fit: RegressionFit) -> None:
+    def __init__(self, state: SelectionState) -> None:
         seconds, number = state.responses.seconds, np.full(len(state.residual), -1)  # of its stretch; -1 between folds
         total = seconds * sum(fold.stop - fold.start for fold in state.folds)
         wanted, begin = min(state.settings.block, total / state.settings.fewest_blocks), 0
@@ -251,7 +250,7 @@ class Blocks:
             begin += parts
         self.state, self.number = state, number
         self._inside, self._own, self.freedom = number >= 0, number[number >= 0], int(number.max())
-        self.left = self._centred(state.left(fit))
+        self.left = self._centred(state.left())
         self.weight = 1.0 / np.maximum(np.mean(self.left**2, axis=0), 1e-300)
 
     def _centred(self, x: np.ndarray) -> np.ndarray:
@@ -288,35 +287,35 @@ class Blocks:
         return np.zeros(count) if judged is None else np.sqrt(np.diag(judged[1]))
 
 
-def consistent_across_blocks(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
+def consistent_across_blocks(state: SelectionState) -> SelectionState:
     """The state without additions that the stretches do not bear out, the least first."""
     while state.active:
-        judged = Blocks(state, fit)
+        judged = Blocks(state)
         chances = {effect: judged.p_value(effect) for effect in state.active}
         worst = max(chances, key=lambda effect: chances[effect])
         if chances[worst] <= state.settings.block_false_alarm_rate:
             break
-        state, fit = refitted(removed(state, worst))
-    return state, fit
+        state = refitted(removed(state, worst))
+    return state
 
 
-def widened(extension: Extension, state: SelectionState, fit: RegressionFit) -> Extension:
+def widened(extension: Extension, state: SelectionState) -> Extension:
     """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them."""
-    judged = Blocks(state, fit)
-    estimates = dict(extension.sizes) if state is extension.state else sizes(state, fit)
+    judged = Blocks(state)
+    estimates = dict(extension.sizes) if state is extension.state else sizes(state)
     for effect in state.active:
         names = state.full.parameters_of(effect)
         wide = zip(names, judged.deviations(effect, len(names)), strict=True)
         estimates |= {n: replace(estimates[n], sd=max(estimates[n].sd, float(x))) for n, x in wide if n in estimates}
-    last = screen(state, fit)  # the last election is held anew
+    last = screen(state)  # the last election is held anew
     scores = tuple(
         s if s.value is not None else replace(s, sd=tuple(np.maximum(s.sd, judged.deviations(s.effect, len(s.sd)))))
         for s in last.candidate_scores
     )
     closing = SelectionStep(None, float("nan"), replace(last, candidate_scores=scores))
-    causes, minor = worth(state, fit, estimates)
+    causes, minor = worth(state, estimates)
     steps = (*extension.steps, closing)
-    return replace(extension, state=state, fit=fit, steps=steps, sizes=estimates, causes=causes, minor=minor)
+    return replace(extension, state=state, steps=steps, sizes=estimates, causes=causes, minor=minor)
 
 
 # --- What the flight path cannot decide about errors of sensors: those it asks for in vain, and those that others
@@ -329,7 +328,7 @@ def widened(extension: Extension, state: SelectionState, fit: RegressionFit) -> 
 def open_errors(extension: Extension) -> tuple[OpenError, ...]:
     """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first."""
     state, settings = extension.state, extension.state.settings
-    effects, columns, gram, right = _information_of_errors(state, extension.fit)
+    effects, columns, gram, right = _information_of_errors(state)
     # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
     covariance = inverse(gram + np.diag(state.precision[columns]))
     among = np.sqrt(state.variance_inflation * np.diag(covariance))
@@ -360,7 +359,7 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
 
 
 def _information_of_errors(
-    state: SelectionState, fit: RegressionFit
+    state: SelectionState,
 ) -> tuple[list[Effect], Int[np.ndarray, " k"], Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
     """Errors of one parameter that move the flight path, their columns, information, and what is left for them."""
     effects = [
@@ -370,16 +369,16 @@ def _information_of_errors(
     ]
     columns = state.full.columns([e.parameters[0].name for e in effects])
     X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
-    weight = 1.0 / fit.variance
+    weight = 1.0 / state.best.variance
     X = partialled(X, begin, weight)
-    right = np.einsum("mci,c,mc->i", X, weight, state.left(fit)[state.inside])
+    right = np.einsum("mci,c,mc->i", X, weight, state.left()[state.inside])
     return effects, columns, np.einsum("mci,c,mcj->ij", X, weight, X), right
 
 
-def with_several_instead(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
+def with_several_instead(state: SelectionState) -> SelectionState:
     """The state with an addition exchanged for several errors that together do the same and explain decisively more."""
     # Offset and scale of an airspeed come one by one, and neither gains what an offset of its pitot pressure does.
-    effects, _, gram, _ = _information_of_errors(state, fit)
+    effects, _, gram, _ = _information_of_errors(state)
     for place, effect in enumerate(effects):
         if effect.name not in state.active:
             continue
@@ -389,11 +388,14 @@ def with_several_instead(state: SelectionState, fit: RegressionFit) -> tuple[Sel
         for together, share in _nearest(gram, effects, place, state.settings, least):
             if len(together) < 2 or share < state.settings.imitated or set(together) & set(others):
                 continue
-            wider, wider_fit = refitted(moved(state, neutral, (*others, *together)))
+            wider = refitted(moved(state, neutral, (*others, *together)))
             choice = (len(together) - 1) * math.log(len(state.full.candidates))
-            if nats(fit.deviance - wider_fit.deviance, state.variance_inflation) - choice > state.settings.decisive:
-                return with_several_instead(wider, wider_fit)
-    return state, fit
+            if (
+                nats(state.best.deviance - wider.best.deviance, state.variance_inflation) - choice
+                > state.settings.decisive
+            ):
+                return with_several_instead(wider)
+    return state
 
 
 def _nearest(

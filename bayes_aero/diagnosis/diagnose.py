@@ -68,7 +68,6 @@ from bayes_aero.diagnosis.selection_state import (
     DEFAULT,
     CandidateModel,
     DiagnosisSettings,
-    RegressionFit,
     SelectionState,
     by_manoeuvre,
     inverse,
@@ -210,7 +209,7 @@ def _causes_in(
     causes, state = list[Cause](), extension.state
     if not names:
         return causes
-    joint, noise = correlated(extension, extension.causes), noise_shares(state, extension.fit)
+    joint, noise = correlated(extension, extension.causes), noise_shares(state)
     undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
     effects = {e.name: e for e in full.candidates}
     for name in names:
@@ -239,7 +238,7 @@ def _causes_in(
                 confirmed=sure is None or name in sure.kept,
                 missed=NOTHING if sure is None else sure.missed[name],
                 implausible=implausible(effect, extension.sizes),
-                own_share=own_share(state, extension.fit, name),
+                own_share=own_share(state, name),
                 joint=joint.get(name, {}),
                 rival_gains={rival: gain for rival, gain in in_place.items() if rival in others},
             )
@@ -289,7 +288,7 @@ def rivals_of(
     # Left out is what predicts hold-out data `worse`, only hides noise, or must be larger than aircraft have.
     state, effects, best = extension.state, {e.name: e for e in extension.state.full.candidates}, {}
     out = {*worse, *(n for larger in extension.larger for n in larger.implausible)}
-    for standing in screen(state, extension.fit, without=name).candidate_scores:
+    for standing in screen(state, without=name).candidate_scores:
         able = standing.score > state.settings.least_rival_score and not mixes_noise(state, standing)
         able = able and standing.effect not in out and not implausible_candidate(effects[standing.effect], standing)
         if standing.effect == name or able:
@@ -376,12 +375,12 @@ def rival_gains(
 ) -> dict[str, tuple[float, float]]:
     """Hold-out log density of each rival in place of a confirmed cause beyond it; minus infinity if too large."""
     state, gains = extension.state, {}
-    ranking, others = screen(state, extension.fit, without=cause), [e for e in kept if e != cause]
-    reference = LeftOut.refitted(refitted(truncated(state, kept))[0])
+    ranking, others = screen(state, without=cause), [e for e in kept if e != cause]
+    reference = LeftOut.refitted(refitted(truncated(state, kept)))
     for rival in rivals:
         if (standing := ranking.of(rival)) is not None:
-            other, _ = refitted(added(removed(state, cause), standing))
-            other, _ = refitted(truncated(other, [*others, rival]))
+            other = refitted(added(removed(state, cause), standing))
+            other = refitted(truncated(other, [*others, rival]))
             effect = next(e for e in other.full.candidates if e.name == rival)
             values = dict(zip(other.full.model.names, map(float, other.theta), strict=True))
             fitted = {p.name: Size(values[p.name], 0.0, p.unit) for p in effect.parameters if p.name in values}
@@ -392,8 +391,9 @@ def rival_gains(
 # --- Whether an engineer would sign a cause: sizes that no aircraft has, signals that hardly move, too many rivals.
 
 
-def own_share(state: SelectionState, fit: RegressionFit, effect: str) -> float:
+def own_share(state: SelectionState, effect: str) -> float:
     """Share of what an effect does to the outputs that no other free parameter can do: 1 over its largest VIF."""
+    fit = state.best
     at = fit.places([c for c in state.full.own_columns(effect) if c in fit.columns])
     if not at:
         return float("nan")
@@ -436,12 +436,12 @@ def _output(extension: Extension, name: str, step: CandidateScore | None = None)
     if name not in state.active and step is not None:
         columns, away = np.array(step.columns, int), dict(zip(step.columns, step.step, strict=False))
     moved = (state.scaled[:, :, columns] @ np.array([away[c] for c in columns]))[state.inside]
-    return state.outputs[int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / extension.fit.variance))]
+    return state.outputs[int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / state.best.variance))]
 
 
 def as_structure(cause: Cause, extension: Extension, effect: Effect) -> UnexplainedStructure:
     """What a cause that is none explained: the output of which it takes most, through which channel."""
-    standing = screen(extension.state, extension.fit, without=cause.name).of(cause.name)
+    standing = screen(extension.state, without=cause.name).of(cause.name)
     share = 0.0 if standing is None else explained(extension.state, standing)
     channel, output = (*effect.channels, effect.kind.value)[0], _output(extension, cause.name, standing)
     return UnexplainedStructure(output, channel, share, cause.p_value, (cause.name, *cause.ambiguous_with))
@@ -468,15 +468,15 @@ def view_of(diagnosis: Diagnosis) -> DiagnosisView:
 def coefficient_view(diagnosis: Diagnosis) -> View:
     """Refit the card's model without any correction of the sensors, and evaluate both models at the recorded rate."""
     last, sensors = diagnosis.aerodynamics, diagnosis.sensors
-    before, after = (last.base, last.base_fit), (last.state, last.fit)
+    before, after = last.base, last.state
     if sensors is not None and sensors.state.active:
         before = refitted(moved(last.base, last.base.full.at_neutral(last.base.theta, sensors.state.active)))
     if set(diagnosis.kept) != set(last.state.active):  # the part of the extension that hold-out data confirm
         after = refitted(truncated(last.state, diagnosis.kept))
     flights = last.state.responses.flights
-    signals = before[0].responses.predict(before[0].theta)
-    channels = {**before[0].responses.flights.channels, **signals}  # one abscissa for both models
-    card, extended = (_fitted(*model, signals["measured"], channels) for model in (before, after))
+    signals = before.responses.predict(before.theta)
+    channels = {**before.responses.flights.channels, **signals}  # one abscissa for both models
+    card, extended = (_fitted(model, signals["measured"], channels) for model in (before, after))
     return View(
         diagnosis=diagnosis,
         card=card,
@@ -504,9 +504,7 @@ def with_stalls(view: View) -> View:
     return replace(view, stalls=stalls)
 
 
-def _fitted(
-    state: SelectionState, fit: RegressionFit, measured: Float[np.ndarray, "n c"], channels: Mapping[str, Any]
-) -> Fitted:
+def _fitted(state: SelectionState, measured: Float[np.ndarray, "n c"], channels: Mapping[str, Any]) -> Fitted:
     """A model evaluated; by coefficient, the mean residual over each recorded channel that makes forces."""
     signals = state.responses.predict(state.theta)
     residual = signals["residual"][:, : len(state.outputs)]
@@ -516,7 +514,7 @@ def _fitted(
     each = [np.asarray(block(jnp.asarray(x))) for x in residual.T]
     over = tuple(tuple(profiles(x, blocks, state.variance_inflation)) for x in each)
     # Each coefficient's residuals: scores, Theil's parts, lag 1, and calibration of the fitted noise.
-    standard = (state.left(fit) / np.sqrt(fit.variance))[state.inside]
+    standard = (state.left() / np.sqrt(state.best.variance))[state.inside]
     manoeuvre, composition = state.responses.flights.manoeuvre, {}
     for c, name in enumerate(state.outputs):
         z, e = measured[:, c], residual[:, c]
@@ -531,7 +529,7 @@ def _fitted(
             "lag1": lag1_within(e, manoeuvre),
             "calibration": {level: float(np.mean(x)) for level, x in within.items()},
         }
-    return Fitted(residual, signals, composition, over, state, fit)
+    return Fitted(residual, signals, composition, over, state)
 
 
 BINS = 12
@@ -572,8 +570,9 @@ def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
 
 def covariance_of(model: Fitted | Extension) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
     """Which parameters were fitted, and the covariance of their estimates that coloured residuals leave."""
-    parameters = np.flatnonzero(model.fit.columns < len(model.state.theta))
-    return model.fit.columns[parameters], uncertainty(model.state, model.fit)[np.ix_(parameters, parameters)]
+    columns = model.state.best.columns
+    parameters = np.flatnonzero(columns < len(model.state.theta))
+    return columns[parameters], uncertainty(model.state)[np.ix_(parameters, parameters)]
 
 
 def joint_covariance(

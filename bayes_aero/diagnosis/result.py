@@ -612,8 +612,7 @@ class Fitted:
     # By coefficient: scores, Theil's parts, autocorrelation at lag 1 and calibration of the residuals.
     composition: Mapping[str, Mapping[str, Any]]
     profiles: tuple[tuple[ResidualProfile, ...], ...]  # by coefficient, the clearest dependence first
-    state: Any  # the regression problem at its optimum: `selection_state.SelectionState`, and its fit
-    fit: Any
+    state: Any  # the regression problem at its optimum: `selection_state.SelectionState`
 
 
 @dataclass(frozen=True)

@@ -287,14 +287,14 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
 # --- Noise of coefficients that grows as the flow separates.
 
 
-def noise_growth_of(state: SelectionState, fit: RegressionFit) -> Float[np.ndarray, "m c"]:
+def noise_growth_of(state: SelectionState) -> Float[np.ndarray, "m c"]:
     """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0; flight-path outputs have none."""
     growth, own = np.ones_like(state.residual), state.responses.model.coefficients
     coefficients = [c for c, name in enumerate(state.outputs) if name in own]
     apart = state.responses.separated(state.theta) if coefficients else np.zeros(1)
     if np.ptp(apart) < 0.05:
         return growth
-    residual = state.left(fit) * state.noise_growth
+    residual = state.left() * state.noise_growth
     colour = autocorrelation_of(residual, state.folds)
     for c in coefficients:  # b by least squares of |innovation| on 1 - X
         size = []
@@ -358,7 +358,6 @@ class ScreeningResult:
 
 def screen(
     state: SelectionState,
-    fit: RegressionFit,
     *,
     seed: int = 0,
     nulls: bool = False,
@@ -367,10 +366,8 @@ def screen(
 ) -> ScreeningResult:
     """Fit every candidate beside all active parameters; draw noise-only replicates (`nulls`) under the present model.
     `without` takes one addition out first: it is then a candidate, and the others are told `apart` from it."""
-    if without is not None:
-        state = state.without([without])
-        fit = state.fit()
-    residual, blocks = state.left(fit), [b for b in state.blocks if b[0] not in state.active]
+    state = state if without is None else state.without([without])
+    fit, residual, blocks = state.best, state.left(), [b for b in state.blocks if b[0] not in state.active]
     colour, stretch = autocorrelation_of(residual, state.folds), state.responses.stretch
     if not blocks:
         return ScreeningResult((), colour, np.zeros(0))
@@ -456,11 +453,9 @@ def log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, pr
     return float(log_normal(estimate - mean, wide) - log_normal(estimate, covariance))
 
 
-def uncertainty(
-    state: SelectionState, fit: RegressionFit, colour: Autocorrelation | None = None
-) -> Float[np.ndarray, "k k"]:
+def uncertainty(state: SelectionState, colour: Autocorrelation | None = None) -> Float[np.ndarray, "k k"]:
     """Covariance of the active columns' estimates that coloured residuals leave (default colour: that of the fit)."""
-    colour = colour or autocorrelation_of(state.left(fit), state.folds)
+    fit, colour = state.best, colour or autocorrelation_of(state.left(), state.folds)
     bread = inverse(fit.normal)
     return bread @ colour.meat(state.scaled[:, :, fit.columns], fit.variance, state.folds) @ bread
 
@@ -480,14 +475,12 @@ def block_jackknife_covariance(
     return columns, jackknife_covariance(np.array([inverse(whole - N) @ right for N, right in parts]))
 
 
-def jackknife_errors(
-    state: SelectionState, fit: RegressionFit, blocks: Int[np.ndarray, " m"]
-) -> Float[np.ndarray, " k"]:
-    """Least standard error of each of the fit's columns, by the jackknife; zero where all is one block."""
-    errors = np.zeros(len(fit.columns))
+def jackknife_errors(state: SelectionState, blocks: Int[np.ndarray, " m"]) -> Float[np.ndarray, " k"]:
+    """Least standard error of each of the active columns, by the jackknife; zero where all is one block."""
+    errors = np.zeros(len(state.best.columns))
     if blocks.max():
-        columns, covariance = block_jackknife_covariance(state, fit)
-        errors[np.isin(fit.columns, columns)] = np.sqrt(np.diag(covariance))
+        columns, covariance = block_jackknife_covariance(state, state.best)
+        errors[np.isin(state.best.columns, columns)] = np.sqrt(np.diag(covariance))
     return errors
 
 

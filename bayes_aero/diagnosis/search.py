@@ -115,7 +115,7 @@ def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
 def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseReport:
     """Colour, size, growth and outliers of what the extended model leaves; of coefficients at the recorded rate."""
     state, names = extension.state, extension.state.outputs
-    left, growth = state.left(extension.fit), np.ones(len(names))
+    left, growth = state.left(), np.ones(len(names))
     if state.of_coefficients:
         left = state.responses.predict(state.theta)["residual"][:, : len(names)]
         blocks, growth = np.asarray(state.responses.block(left)), state.noise_growth.max(axis=0)
@@ -225,7 +225,7 @@ class Search:
                 # An addition that another has replaced ends the search: the two would replace each other for ever.
                 if chosen == active or set(active) - set(chosen):
                     status = filtered.status
-                    return sized(replace(added, base=first.base, base_fit=first.base_fit, steps=steps))
+                    return sized(replace(added, base=first.base, steps=steps))
                 known = dict(zip(state.full.model.names, added.state.theta, strict=True))
                 apart, active = added.state.apart, chosen
 
@@ -328,7 +328,7 @@ def search_in_stages(
     sensors = check_sensors(full, path, theta, seed=seed)
     aerodynamics, denied = coefficients(sensors), list[str]()
     while (name := _denied(sensors, aerodynamics)) is not None:
-        fewer = widened(sensors, *refitted(removed(sensors.state, name)))
+        fewer = widened(sensors, refitted(removed(sensors.state, name)))
         other = coefficients(fewer)
         if nats_gained(aerodynamics, other) < _path_gain(sensors, name) + full.settings.decisive:
             break
@@ -383,7 +383,7 @@ def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
 
 def _path_gain(sensors: Extension, name: str) -> float:
     """What the flight path gains by an error of a sensor, nats, its colour counted."""
-    own = screen(sensors.state, sensors.fit, without=name).of(name)
+    own = screen(sensors.state, without=name).of(name)
     return math.inf if own is None else nats(max(own.gain, 0.0), own.variance_inflation)
 
 
@@ -460,20 +460,20 @@ def _with_lag(
     if progress:
         progress("lag of the separation point", 0.0)
     values = dict(zip(base.full.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
-    state, fit = refitted(_first_state(whole, flights, dynamics, values, lag.name))
+    state = refitted(_first_state(whole, flights, dynamics, values, lag.name))
     screening = extension.steps[0].screening
     gain, among = (
-        nats(extension.base_fit.deviance - fit.deviance, base.variance_inflation),
+        nats(base.best.deviance - state.best.deviance, base.variance_inflation),
         len(screening.candidate_scores) + 1,
     )
-    chance = between_p_value(state, fit, lag.name, among)
+    chance = between_p_value(state, lag.name, among)
     if not (gain > settings.decisive and chance <= settings.block_false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise
     other = plausible_selection(state, seed=seed, most=settings.max_effects - 1, progress=progress)
     if lag.name not in other.state.active or nats_gained(extension, other) <= settings.decisive:
         return None
-    step = SelectionStep(lag.name, between_p_value(other.state, other.fit, lag.name, among), screening)
-    return replace(other, base=base, base_fit=extension.base_fit, steps=(step, *other.steps))
+    step = SelectionStep(lag.name, between_p_value(other.state, lag.name, among), screening)
+    return replace(other, base=base, steps=(step, *other.steps))
 
 
 def without_lags(full: CandidateModel) -> CandidateModel:

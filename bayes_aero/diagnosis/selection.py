@@ -30,7 +30,6 @@ from bayes_aero.diagnosis.selection_state import (
     DEFAULT,
     DiagnosisSettings,
     Products,
-    RegressionFit,
     SelectionState,
     by_manoeuvre,
     inverse,
@@ -63,9 +62,7 @@ class Extension:
     """The state before and after additions, with fits and elections."""
 
     base: SelectionState
-    base_fit: RegressionFit
     state: SelectionState
-    fit: RegressionFit
     steps: tuple[SelectionStep, ...]
     sizes: Mapping[str, Size] = field(default_factory=dict)  # of what is in
     causes: tuple[str, ...] = ()  # additions worth a name (see `worth`)
@@ -120,10 +117,10 @@ def selected(
 ) -> Extension:
     """Add at most `most` effects (default: the settings') that are not `barred`; p-values are family-wise."""
     most = state.settings.max_effects if most is None else most
-    state, fit = refitted(state)
-    inflation = median_inflation(np.array([s.variance_inflation for s in screen(state, fit).candidate_scores]))
-    state = replace(state, noise_growth=noise_growth_of(state, fit), variance_inflation=inflation)
-    first, first_fit = state, fit = refitted(moved(state, state.theta))
+    state = refitted(state)
+    inflation = median_inflation(np.array([s.variance_inflation for s in screen(state).candidate_scores]))
+    state = replace(state, noise_growth=noise_growth_of(state), variance_inflation=inflation)
+    first = state = refitted(moved(state, state.theta))
     steps: list[SelectionStep] = []
     noisy: tuple[str, ...] = ()
     for number in range(most + state.settings.candidates_tried):
@@ -133,29 +130,29 @@ def selected(
             progress("causes", len(state.active) / max(most, 1))
         winner, standing_in = None, ("",)
         while standing_in:
-            step = _election(state, fit, seed + number, (*barred, *noisy), first=number == 0)
+            step = _election(state, seed + number, (*barred, *noisy), first=number == 0)
             winner = None if step.chosen is None else step.screening.of(step.chosen)
-            standing_in = () if winner is None else _offsets_instead(state, fit, winner)
+            standing_in = () if winner is None else _offsets_instead(state, winner)
             if standing_in:
-                state, fit = refitted(moved(state, state.theta, apart=(*state.apart, *standing_in)))
+                state = refitted(moved(state, state.theta, apart=(*state.apart, *standing_in)))
         steps.append(step)
         if winner is None:
             break
-        wider, wider_fit = refitted(added(state, winner))
-        if noise_shares(wider, wider_fit)[winner.effect] > OF_NOISE:
+        wider = refitted(added(state, winner))
+        if noise_shares(wider)[winner.effect] > OF_NOISE:
             noisy, steps[-1] = (*noisy, winner.effect), step._replace(chosen=None)
             continue
-        state, fit = _reconsidered(wider, wider_fit, barred)
+        state = _reconsidered(wider, barred)
         noisy = ()  # with less left, noise can make less
     for name in state.apart:  # offsets between manoeuvres that explain nothing beside what was added after them
-        fewer, less = refitted(moved(state, state.theta, apart=tuple(n for n in state.apart if n != name)))
-        gained = nats(less.deviance - fit.deviance, state.variance_inflation) - len(state.folds) + 1
+        fewer = refitted(moved(state, state.theta, apart=tuple(n for n in state.apart if n != name)))
+        gained = nats(fewer.best.deviance - state.best.deviance, state.variance_inflation) - len(state.folds) + 1
         if gained < state.settings.ambiguous:
-            state, fit = fewer, less
-    return Extension(first, first_fit, state, fit, tuple(steps))
+            state = fewer
+    return Extension(first, state, tuple(steps))
 
 
-def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: CandidateScore) -> tuple[str, ...]:
+def _offsets_instead(state: SelectionState, winner: CandidateScore) -> tuple[str, ...]:
     """Coefficients whose offsets between manoeuvres stand in for an addition."""
     # What differs between manoeuvres alone (a trim, a flap, the throttle) explains any offset that is left there. So an
     # addition must be identified within manoeuvres, with the same sign, and offsets must not be decisively better.
@@ -171,29 +168,28 @@ def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: Candidat
     if count == 1 or not outputs:
         return ()
     wider = moved(state, state.theta, apart=(*state.apart, *outputs))
-    there = wider.fit()
-    within = screen(wider, there).of(winner.effect)
+    within = screen(wider).of(winner.effect)
     identified = within is not None and within.score >= state.settings.least_score and within.log_bayes > 0.0
     if within is None or not identified or float(np.dot(within.step, winner.step)) <= 0.0:
         return outputs
-    better = nats(fit.deviance - there.deviance - winner.gain, winner.variance_inflation)
+    better = nats(state.best.deviance - wider.best.deviance - winner.gain, winner.variance_inflation)
     return outputs if better - (count - 1) * len(outputs) > state.settings.decisive else ()
 
 
 def sized(extension: Extension) -> Extension:
     """What was added, with sizes, and which of it are causes."""
-    state, fit = extension.state, extension.fit
-    names, errors = state.full.model.names, jackknife_errors(state, fit, state.responses.stretch)
-    least = {names[c]: float(x) for c, x in zip(fit.columns, errors, strict=True) if c < len(names)}
-    estimates = {name: replace(size, sd=max(size.sd, least[name])) for name, size in sizes(state, fit).items()}
-    causes, minor = worth(state, fit, estimates)
+    state, names = extension.state, extension.state.full.model.names
+    errors = jackknife_errors(state, state.responses.stretch)
+    least = {names[c]: float(x) for c, x in zip(state.best.columns, errors, strict=True) if c < len(names)}
+    estimates = {name: replace(size, sd=max(size.sd, least[name])) for name, size in sizes(state).items()}
+    causes, minor = worth(state, estimates)
     return replace(extension, sizes=estimates, causes=causes, minor=minor)
 
 
-def noise_shares(state: SelectionState, fit: RegressionFit) -> dict[str, float]:
+def noise_shares(state: SelectionState) -> dict[str, float]:
     """Largest share of each addition that noise of the recorded channels can make, by effect."""
     # Noise in a regressor makes of whatever moves with it a second recording of the same.
-    bias, away = largest_noise_bias(state, fit), dict(zip(state.full.model.names, state.departure, strict=True))
+    bias, away = largest_noise_bias(state), dict(zip(state.full.model.names, state.departure, strict=True))
     shares = {}
     for effect in state.active:
         names = [n for n in state.full.parameters_of(effect) if n in bias]
@@ -202,12 +198,10 @@ def noise_shares(state: SelectionState, fit: RegressionFit) -> dict[str, float]:
     return shares
 
 
-def _election(
-    state: SelectionState, fit: RegressionFit, seed: int, barred: Sequence[str], first: bool
-) -> SelectionStep:
+def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bool) -> SelectionStep:
     """The most explaining candidate, not `barred`, that is beyond chance, matters, and predicts folds left out."""
     settings, noise = state.settings, SharedNoise(seed, state.folds, len(state.outputs), state.settings)
-    screening, able = screen(state, fit, nulls=first, noise=noise), list[CandidateScore]()
+    screening, able = screen(state, nulls=first, noise=noise), list[CandidateScore]()
     leaders: dict[str, CandidateScore] = {}
     for standing in (s for s in screening.candidate_scores if s.effect not in barred):
         leaders.setdefault(standing.effect, standing)
@@ -220,7 +214,9 @@ def _election(
         if standing.score < settings.least_score or standing.log_bayes <= 0.0:
             continue
         if not len(screening.nulls):
-            projected = PartialledRegression(state, fit, [b[1] for b in state.blocks if b[0] not in state.active])
+            projected = PartialledRegression(
+                state, state.best, [b[1] for b in state.blocks if b[0] not in state.active]
+            )
             screening = replace(screening, nulls=projected.nulls(screening.colour, noise.replicates))
         if (p := screening.p_value(standing.score)) <= settings.false_alarm_rate:
             return SelectionStep(standing.effect, p, screening)
@@ -229,7 +225,7 @@ def _election(
         if alone:
             p, limit = refit_p_value(state, standing, noise), settings.false_alarm_rate
         else:  # no stationary colour holds, with a leader in or out
-            p = between_p_value(*refitted(added(state, standing)), standing.effect, among)
+            p = between_p_value(refitted(added(state, standing)), standing.effect, among)
             limit = settings.refit_false_alarm_rate
         if p <= limit:
             return SelectionStep(standing.effect, p, screening)
@@ -237,14 +233,14 @@ def _election(
     return SelectionStep(None, screening.p_value(highest) if len(screening.nulls) else math.nan, screening)
 
 
-def between_p_value(wider: SelectionState, fit: RegressionFit, effect: str, among: int) -> float:
+def between_p_value(wider: SelectionState, effect: str, among: int) -> float:
     """p-value of an addition by how far it moves without each stretch, Bonferroni over `among` candidates."""
     # It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
     # then seem to disagree more than they do.
     columns = wider.full.own_columns(effect)
-    if not np.all(np.isin(columns, fit.columns)):
+    if not np.all(np.isin(columns, wider.best.columns)):
         return 1.0
-    return jackknife_p_value(wider, fit, columns, wider.departure[columns], among)
+    return jackknife_p_value(wider, wider.best, columns, wider.departure[columns], among)
 
 
 def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
@@ -279,9 +275,7 @@ def removed(state: SelectionState, effect: str) -> SelectionState:
     return truncated(state, [e for e in state.active if e != effect])
 
 
-def _reconsidered(
-    state: SelectionState, fit: RegressionFit, barred: Sequence[str]
-) -> tuple[SelectionState, RegressionFit]:
+def _reconsidered(state: SelectionState, barred: Sequence[str]) -> SelectionState:
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
     least = state.least_share(state.settings.least_share)
 
@@ -289,31 +283,28 @@ def _reconsidered(
         """Log Bayes factor of an addition under the colour that is left with it in."""
         columns = state.full.own_columns(own.effect)
         away = state.departure[columns]
-        if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
+        if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, state.best.columns))):
             return own.log_bayes
-        at, precision = fit.places(columns), state.precision[columns] / state.variance_inflation
-        return log_bayes(away, uncertainty(state, fit)[np.ix_(at, at)], state.mean[columns] + away, precision)
+        at, precision = state.best.places(columns), state.precision[columns] / state.variance_inflation
+        return log_bayes(away, uncertainty(state)[np.ix_(at, at)], state.mean[columns] + away, precision)
 
     for effect in state.active[:-1]:
-        ranking = screen(state, fit, without=effect)
+        ranking = screen(state, without=effect)
         own = ranking.of(effect)
         able = (s for s in ranking.candidate_scores if s.effect not in barred and not mixes_noise(state, s))
         best = next(able, ranking.candidate_scores[0])
         faint = own is not None and own.log_bayes < 0.0 and bayes_within(own) < 0.0
         if own is None or faint or explained(state, own) < least or mixes_noise(state, own):
-            state, fit = refitted(removed(state, effect))
+            state = refitted(removed(state, effect))
         elif best.effect != effect:
             more = best.gain - (1.0 + state.settings.exchange_margin) * own.gain
             if nats(more, best.variance_inflation_apart) > 1.0:
-                other, other_fit = refitted(added(removed(state, effect), best))
-                if noise_shares(other, other_fit)[best.effect] <= OF_NOISE:
-                    state, fit = other, other_fit
-    return state, fit
+                other = refitted(added(removed(state, effect), best))
+                state = other if noise_shares(other)[best.effect] <= OF_NOISE else state
+    return state
 
 
-def worth(
-    state: SelectionState, fit: RegressionFit, estimates: Mapping[str, Size]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def worth(state: SelectionState, estimates: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Additions large enough to be worth modelling, and nuisances: small, uncertain, or perhaps noise."""
     added = [e for name in state.active for e in state.full.candidates if e.name == name]
 
@@ -332,7 +323,7 @@ def worth(
                 chosen.append(effect.name)
         return chosen
 
-    causes = large_ones(largest_noise_bias(state, fit)) if large_ones({}) else []
+    causes = large_ones(largest_noise_bias(state)) if large_ones({}) else []
     return tuple(causes), tuple(name for name in state.active if name not in causes)
 
 
@@ -345,11 +336,11 @@ def large(effect: Effect, away: Mapping[str, tuple[float, float]], least_score: 
 def nats_gained(old: Extension, new: Extension) -> float:
     """Log likelihood that another extension gains, the colour counted, less what the choice of each addition costs."""
 
-    def deviance(state: SelectionState, fit: RegressionFit) -> float:
-        return fit.deviance + 2.0 * float(np.sum(np.log(state.noise_growth[state.inside])))
+    def deviance(state: SelectionState) -> float:
+        return state.best.deviance + 2.0 * float(np.sum(np.log(state.noise_growth[state.inside])))
 
     additions = len(new.state.active) - len(old.state.active)
-    gained = deviance(old.state, old.fit) - deviance(new.state, new.fit)
+    gained = deviance(old.state) - deviance(new.state)
     choice = math.log(max(len(new.state.full.candidates), 1))
     return nats(gained, max(old.state.variance_inflation, new.state.variance_inflation)) - additions * choice
 
@@ -368,7 +359,7 @@ AT_REST = 0.1  # of a sensitivity's root mean square, its deviation within the m
 def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
     """Parameters of the card that may have taken up an effect large enough for a name."""
     # It is seen with the parameter held, and not seen with it free within its prior.
-    state, fit, parameters = extension.state, extension.fit, []
+    state, parameters = extension.state, []
     if not state.of_coefficients:
         return ()
     for effect in (e for e in state.full.model.effects if e.name in state.full.base):
@@ -378,7 +369,7 @@ def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
             S = state.S[state.inside][:, :, column]  # what it acts through stays in all manoeuvres, and not at zero
             square, moved = float(np.sum(S**2)), float(np.sum((S - S.mean(axis=0)) ** 2))
             at_rest = square > 0.0 and moved < AT_REST**2 * square
-            if column in fit.columns and at_rest and (sizes := _taken_up(extension, column)):
+            if column in state.best.columns and at_rest and (sizes := _taken_up(extension, column)):
                 name, usual = parameter.name, state.full.priors.get(parameter.name, parameter.prior).normal
                 estimate = float(state.theta[column]), extension.sizes[name].sd
                 parameters.append(Absorbed(effect.name, name, parameter.unit, controls[0], estimate, usual, sizes))
@@ -387,7 +378,7 @@ def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
 
 def _taken_up(extension: Extension, column: int) -> dict[str, Size]:
     """Sizes of the candidates that the parameter of a column hides, by name."""
-    state, fit, scale = extension.state, extension.fit, extension.state.settings.least_score
+    state, fit, scale = extension.state, extension.state.best, extension.state.settings.least_score
     fewer, hidden = fit.columns[fit.columns != column], {}
     S, weight = state.scaled[state.inside], 1.0 / fit.variance
 
@@ -468,11 +459,10 @@ def _correlated_parameters(
     extension: Extension, effects: Sequence[str]
 ) -> Iterator[tuple[tuple[str, str], tuple[str, str], np.ndarray]]:
     """Pairs of effects, one parameter of each, and the covariance of these two where they are correlated."""
-    state, fit = extension.state, extension.fit
+    state = extension.state
     if len(effects) < 2:
         return
-    covariance = uncertainty(state, fit)
-    at = {int(c): k for k, c in enumerate(fit.columns)}
+    covariance, at = uncertainty(state), {int(c): k for k, c in enumerate(state.best.columns)}
     for one, other in combinations(effects, 2):
         for a, b in product(state.full.parameters_of(one), state.full.parameters_of(other)):
             places = [at[c] for c in map(int, state.full.columns([a, b])) if c in at]
@@ -535,9 +525,9 @@ def filtered_channels(flights: Flights) -> tuple[str, ...]:
     return tuple(filtered)
 
 
-def noise_effect(state: SelectionState, fit: RegressionFit) -> tuple[Float[np.ndarray, " k"], ...]:
+def noise_effect(state: SelectionState) -> tuple[Float[np.ndarray, " k"], ...]:
     """What recording noise does to each estimate of a fit at its optimum: its bias, and its standard deviation."""
-    flights, rng = state.responses.flights, np.random.default_rng(0)
+    flights, rng, fit = state.responses.flights, np.random.default_rng(0), state.best
     noise, parameters = recording_noise(flights), fit.columns < len(state.theta)
     at = fit.columns[parameters]
 
@@ -556,11 +546,11 @@ def noise_effect(state: SelectionState, fit: RegressionFit) -> tuple[Float[np.nd
     return bias, spread
 
 
-def largest_noise_bias(state: SelectionState, fit: RegressionFit) -> dict[str, tuple[float, float]]:
+def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
     """Lowest and highest bias of each addition's parameters by recording noise of any size that residuals permit."""
     # It is linear in the channels' variances, which sum up to no more than is left of an output; noise may be `SLOW`
     # times what is read off as white. Source: Klepper and Leamer, Econometrica 52 (1984) 163.
-    flights, rng = state.responses.flights, np.random.default_rng(1)
+    flights, rng, fit = state.responses.flights, np.random.default_rng(1), state.best
     parameters = fit.columns < len(state.theta)
     at, additions = fit.columns[parameters], state.full.own_columns(*state.active)
     covariance = inverse(fit.normal)[np.isin(fit.columns, additions)]
@@ -614,16 +604,16 @@ def normal_draws(
     return np.clip(draws, np.minimum(lower, mean), np.maximum(upper, mean))
 
 
-def sizes(state: SelectionState, fit: RegressionFit) -> dict[str, Size]:
+def sizes(state: SelectionState) -> dict[str, Size]:
     """Every active parameter with its deviation: what coloured residuals leave, what recording noise makes of it."""
     # Recording noise that is integrated along the flight path wanders, and the fit follows it, so the residuals may
     # show less of it than there is: the larger of both deviations counts. The mean is the estimate without its bias,
     # which is itself known to first order only: it counts as a deviation, too.
-    variance = np.maximum(np.diag(uncertainty(state, fit)), 0.0)
-    bias, spread = noise_effect(state, fit)
+    variance = np.maximum(np.diag(uncertainty(state)), 0.0)
+    bias, spread = noise_effect(state)
     deviation = np.sqrt(np.maximum(variance, spread**2) + bias**2)
     estimates, free = {}, state.full.model.free
-    for c, shift, sd in zip(fit.columns, bias, deviation, strict=True):
+    for c, shift, sd in zip(state.best.columns, bias, deviation, strict=True):
         if c < len(free):
             mean, (low, high) = state.theta[c], free[c].bounds
             at_bound = min(abs(mean - low), abs(mean - high)) < AT_BOUND * abs(mean)

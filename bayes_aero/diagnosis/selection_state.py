@@ -585,8 +585,14 @@ class SelectionState:
         """Regression on all folds with these columns (default: the active ones); with variances it finds, or `held`."""
         return self.products.fit(self.columns() if columns is None else columns, self.mean, self.precision, held)
 
-    def left(self, fit: RegressionFit) -> Float[np.ndarray, "m c"]:
-        """Residuals that a fit leaves, divided by the noise_growth."""
+    @cached_property
+    def best(self) -> RegressionFit:
+        """The fit with the effects that are in."""
+        return self.fit()
+
+    def left(self, fit: RegressionFit | None = None) -> Float[np.ndarray, "m c"]:
+        """Residuals that a fit (default: the best) leaves, divided by the noise_growth."""
+        fit = self.best if fit is None else fit
         return (self.residual - self.S[:, :, fit.columns] @ fit.step) / self.noise_growth
 
     def with_components(
@@ -611,7 +617,7 @@ class SelectionState:
 
     def share_of(self, own: Int[np.ndarray, " k"]) -> float:
         """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""
-        return float(np.max(1.0 - self.fit(self.wider(own)).variance / self.fit().variance))
+        return float(np.max(1.0 - self.fit(self.wider(own)).variance / self.best.variance))
 
     def without(self, effects: Sequence[str]) -> SelectionState:
         """The state with some of its additions at neutral, to first order."""
@@ -715,10 +721,9 @@ REFITS = 8
 LEAST_GAIN = 0.05  # of the deviance
 
 
-def refitted(state: SelectionState) -> tuple[SelectionState, RegressionFit]:
-    """The state at the optimum of all active parameters, and the fit there."""
-    state = moved(state, optimum(state, range(len(state.folds))))
-    return state, state.fit()
+def refitted(state: SelectionState) -> SelectionState:
+    """The state at the optimum of all active parameters."""
+    return moved(state, optimum(state, range(len(state.folds))))
 
 
 def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> Float[np.ndarray, " k"]:

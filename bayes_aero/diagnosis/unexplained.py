@@ -120,13 +120,13 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
     state, structures = extension.state, []
     for name in (n for n in state.apart if n not in idle):
         fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
-        less, fit = fewer.fit(), state.fit()
-        ranking = screen(fewer, less).candidate_scores
+        less, fit = fewer.best, state.best
+        ranking = screen(fewer).candidate_scores
         gain = less.deviance - fit.deviance
         rivals = [s.effect for s in ranking if nats(gain - s.gain, state.variance_inflation) < state.settings.ambiguous]
         at = fit.places(constants_of(state, name))
         from_first = np.eye(len(at))[1:] - np.eye(len(at))[0]
-        covariance = uncertainty(state, fit)[np.ix_(at, at)]
+        covariance = uncertainty(state)[np.ix_(at, at)]
         size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
         p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
         if p > state.settings.block_false_alarm_rate:
@@ -158,9 +158,9 @@ def _constants(state: SelectionState) -> set[str]:
 def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
     """Named causes of which little is left once the components are in: they had stood in for them."""
     wide, least = state.with_components((), chosen), state.least_share(state.settings.unnamed_share)
-    dropped, deviance, count = [], wide.fit().deviance, float(wide.products.count.sum())
+    dropped, deviance, count = [], wide.best.deviance, float(wide.products.count.sum())
     for name in causes:
-        rest = removed(state, name).with_components((), chosen).fit().deviance
+        rest = removed(state, name).with_components((), chosen).best.deviance
         if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < least:
             dropped.append(name)
     return tuple(dropped)
@@ -189,7 +189,7 @@ def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) ->
         batches, leaders = in_batches(state, components, folds), list[tuple[float, Component]]()
         for batch in batches:
             trials, by_label = state.with_components(batch, chosen, folds), {c.label: c for c in batch}
-            scores = screen(trials, trials.fit(), seed=seed).candidate_scores[:tried]
+            scores = screen(trials, seed=seed).candidate_scores[:tried]
             leaders += [(standing.score, by_label[standing.effect]) for standing in scores]
         for _, component in sorted(leaders, key=lambda leader: -leader[0])[:tried]:
             trial = Trial(state, component, chosen, folds)
@@ -329,13 +329,13 @@ def leader(
     labels = {c.component.label for c in chosen}
     rest = [c for c in columns if c.component.label not in labels]
     trial = state.with_components([c.component for c in rest], [c.component for c in chosen])
-    fit = trial.fit()
+    fit = trial.best
     projected, n = PartialledRegression(trial, fit, trial.component_columns), float(trial.products.count.sum())
     place, bread = (
         np.array(x)
         for x in zip(*((p[0], b[0, 0]) for p, b in zip(projected.place, projected.bread, strict=True)), strict=True)
     )
-    right = projected.right(trial.left(fit))[place]
+    right = projected.right(trial.left())[place]
     gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
     order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
     best = trial.fit(trial.wider(trial.component_columns[order[0]]))
@@ -369,9 +369,8 @@ def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.
 def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[FoundTerm, ...]:
     """All terms fitted together, beside the parameters of the model."""
     whole = state.with_components((), components_of(terms))
-    fit = whole.fit()
-    errors = jackknife_errors(whole, fit, state.responses.parts)
-    deviation = np.maximum(np.sqrt(np.diag(uncertainty(whole, fit))), errors)
+    fit, errors = whole.best, jackknife_errors(whole, state.responses.parts)
+    deviation = np.maximum(np.sqrt(np.diag(uncertainty(whole))), errors)
     own, sizes = slice(len(fit.columns) - len(terms), None), []
     for term, size, sd in zip(terms, fit.step[own], deviation[own], strict=True):
         column, coefficient = term.column, term.column.component.coefficient
@@ -414,7 +413,7 @@ def _next(
     for columns in library:
         left = {c.component.label: c for c in columns if c not in [term.column for term in terms]}
         trial = state.with_components([c.component for c in left.values()], chosen)
-        scores = screen(trial, trial.fit(), noise=noise).candidate_scores
+        scores = screen(trial, noise=noise).candidate_scores
         among, gains = among + len(left), [*gains, *((left[s.effect], s.gain) for s in scores)]
         leaders += [(s, left[s.effect], trial) for s in scores[: settings.candidates_tried]]
     for standing, column, trial in sorted(leaders, key=lambda leader: -leader[0].score):
@@ -452,10 +451,9 @@ def _weighed(
     best = next(gain for column, gain in gains if column is first)
     near = sorted(((c, x) for c, x in gains if x >= NEAR * best), key=lambda pair: pair[0] is not first)
     trial = state.with_components([c.component for c, _ in near], chosen)
-    fit = trial.fit()
     colour = autocorrelation_of(trial.left(trial.fit(trial.wider(trial.component_columns[0]))), trial.folds)
     # What tells two of them apart is the residual along the difference of what they explain.
-    projected, residual = PartialledRegression(trial, fit, trial.component_columns), trial.left(fit)
+    projected, residual = PartialledRegression(trial, trial.best, trial.component_columns), trial.left()
     apart = projected.apart(residual, projected.estimates(residual), 0, colour, trial.responses.parts)
     lost = np.array([nats(best - gain, x) for (_, gain), x in zip(near, apart, strict=True)])
     lost -= lost.min()
@@ -464,7 +462,7 @@ def _weighed(
     rivals = sorted([(near[i][0], float(weights[i])) for i in close], key=lambda rival: -rival[1])
     (column, weight), of = rivals[0], rivals[0][0].component.coefficient
     trial = Trial(state, column.component, chosen)
-    standing = screen(trial.state, trial.state.fit()).candidate_scores[0]
+    standing = screen(trial.state).candidate_scores[0]
     others = tuple((rival.term, x) for rival, x in rivals[1:] if rival.component.coefficient == of)
     elsewhere = tuple(c.component.label for c, _ in rivals if c.component.coefficient != of)
     inflation = standing.variance_inflation
@@ -669,14 +667,14 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
 def _without(state: SelectionState, effects: Sequence[str], apart: tuple[str, ...]) -> SelectionState:
     """The state without some of its additions and of its offsets, at the optimum of what is left."""
     kept = tuple(name for name in state.active if name not in effects)
-    return refitted(moved(state, state.full.at_neutral(state.theta, effects), kept, apart))[0]
+    return refitted(moved(state, state.full.at_neutral(state.theta, effects), kept, apart))
 
 
 def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]) -> list[str]:
     """Coefficients that lack something without what is contested: all, where the residuals are no coefficients."""
     if not state.of_coefficients:
         return list(state.responses.model.coefficients)
-    more = float(state.products.count.sum()) * np.log(bare.fit().variance / state.fit().variance)
+    more = float(state.products.count.sum()) * np.log(bare.best.variance / state.best.variance)
     lacking = [nats(x, state.variance_inflation) > state.settings.ambiguous for x in more]
     return [n for n, lacks in zip(state.outputs, lacking, strict=True) if lacks or n in shown or n in state.apart]
 
@@ -794,8 +792,8 @@ def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> di
 def _sizes_beside(model: _Model, causes: Sequence[str]) -> dict[str, Size]:
     """Parameters of causes beside terms and polynomials, to first order."""
     wide = model.wide
-    fit, free = wide.fit(), wide.full.model.free
-    sds = np.sqrt(np.diag(uncertainty(wide, fit)))
+    fit, free = wide.best, wide.full.model.free
+    sds = np.sqrt(np.diag(uncertainty(wide)))
     step, sd = (dict(zip(fit.columns, x, strict=True)) for x in (fit.step, sds))
     own = [int(column) for column in wide.full.own_columns(*causes) if column in step]
     return {

@@ -27,7 +27,7 @@ from bayes_aero.diagnosis.consistency import (
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Size
 from bayes_aero.diagnosis.selection import Extension, filtered_channels, recording_noise
-from bayes_aero.diagnosis.selection_state import CandidateModel, DiagnosisSettings, RegressionFit, SelectionState
+from bayes_aero.diagnosis.selection_state import CandidateModel, DiagnosisSettings, SelectionState
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import Agreement, Consistency, noise_of
@@ -433,15 +433,15 @@ def test_the_flight_path_is_selected_again_without_an_error_larger_than_sensors_
         return part(SelectionState, full=own, active=names[:2] if len(asked) == 1 else names[2:])
 
     def selected(state, **_):
-        no_fit, base = part(RegressionFit), part(SelectionState, active=())
+        base = part(SelectionState, active=())
         sizes = {"airspeed_scale": Size(-0.06, 0.01, "1"), "airspeed_bias": Size(10.7, 0.5, "m/s"),
                  "alpha_scale": Size(0.1, 0.01, "1")}  # fmt: skip
-        return Extension(base, no_fit, state, no_fit, (), sizes, state.active, ())
+        return Extension(base, state, (), sizes, state.active, ())
 
     for name, given in {
         "linearised": linearised, "selected": selected, "widened": lambda found, *_: found,
-        "sized": lambda found: found, "consistent_across_blocks": lambda *found: found,
-        "with_several_instead": lambda *found: found, "nats_gained": lambda *_: gained,
+        "sized": lambda found: found, "consistent_across_blocks": lambda found: found,
+        "with_several_instead": lambda found: found, "nats_gained": lambda *_: gained,
         "without_hold": lambda one: {n: {} for n in one.state.active},
     }.items():  # fmt: skip
         monkeypatch.setattr(f"bayes_aero.diagnosis.consistency.{name}", given)
@@ -514,7 +514,7 @@ def test_a_boom_is_called_a_boom_and_a_lag_a_lag(card, name, true):
     size = found.sizes[name]
     assert abs(size.mean - true) < 3.0 * size.sd
     assert 1.96 * size.sd < 0.15 * true
-    judged = Blocks(found.state, found.fit)  # by stretches of the flights
+    judged = Blocks(found.state)  # by stretches of the flights
     assert size.sd >= 0.999 * np.sqrt(judged.judge(name)[1][0, 0])
     assert judged.p_value(name) < 1e-3
 

@@ -183,7 +183,7 @@ def searched(*names: str, forms: Mapping[str, tuple[str, float]] | None = None, 
         CandidateModel, candidates=tuple(CATALOGUE[n] for n in names), not_testable=not_testable, settings=DEFAULT
     )
     one = part(
-        Extension, state=part(SelectionState, active=names), fit=None, causes=names, minor=(), steps=(),
+        Extension, state=part(SelectionState, active=names), causes=names, minor=(), steps=(),
         sizes={p: x for n in names for p, x in cause(n).parameters.items()},
     )  # fmt: skip
     return part(SearchResult, full=full, stages={"coefficients": one}, forms=forms or {})
@@ -415,8 +415,7 @@ def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_
         full = part(CandidateModel, candidates=tuple(CATALOGUE[n] for n in ("alpha_dot_lift", "mach_drag")))
         base, state = (part(SelectionState, full=full, active=names) for names in ((), active))
         sizes = {"CLadot": Size(size, 20.0, "1"), "CDM": Size(0.1, 0.01, "1")}
-        no_fit = part(RegressionFit)
-        return Extension(base, no_fit, state, no_fit, (), sizes, active, ())
+        return Extension(base, state, (), sizes, active, ())
 
     asked: list[tuple[str, ...]] = []
     given = [of(-42.9, "alpha_dot_lift", "mach_drag"), of(0.0)]
@@ -488,8 +487,7 @@ def on(both, flights, values) -> Extension:
     theta = both.theta.copy()
     theta[both.full.columns(list(values))] = list(values.values())
     state = linearised(both.full, EquationError.of(flights, model), NAMES, theta, PAIR)
-    fit = state.fit()
-    return Extension(state, fit, state, fit, (), {}, PAIR, ())
+    return Extension(state, state, (), {}, PAIR, ())
 
 
 def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
@@ -504,9 +502,9 @@ def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
     assert pair.factor == pytest.approx(1.0, abs=0.1)
     # Of a combination with correlation near -1 little is left of either deviation: closed form of a sum's variance.
     columns = found.state.full.columns(["CLq", "CLadot"])
-    colour = autocorrelation_of(found.state.left(found.fit), found.state.folds)
-    at = [int(np.flatnonzero(found.fit.columns == c)[0]) for c in columns]
-    C = uncertainty(found.state, found.fit, colour)[np.ix_(at, at)]
+    colour = autocorrelation_of(found.state.left(), found.state.folds)
+    at = [int(np.flatnonzero(found.state.best.columns == c)[0]) for c in columns]
+    C = uncertainty(found.state, colour)[np.ix_(at, at)]
     assert pair.sd**2 == pytest.approx(C[0, 0] + 2 * pair.factor * C[0, 1] + pair.factor**2 * C[1, 1])
     assert pair.sd < 0.1 * np.sqrt(C[0, 0])
     turn = on(both, flown["bank_to_bank"], {"CLq": 19.6, "CLadot": -18.2})
@@ -514,7 +512,7 @@ def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
     assert not cancelling(on(both, doublet, {"CLq": 4.0, "CLadot": 2.0}), PAIR)  # nothing cancels
     # Closed form: what a regression on the others leaves of the effect's sensitivity, over its spread.
     found = on(both, both.responses.flights, {"CLq": 4.0})
-    state, fit = found.state, found.fit
+    state, fit = found.state, found.state.best
     own = int(state.full.columns(["CLq"])[0])
     weighed = state.scaled[state.inside] / np.sqrt(fit.variance)[:, None]
     S = weighed.reshape(-1, state.S.shape[2])
@@ -522,8 +520,8 @@ def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
     scale = np.sqrt(np.sum(others**2, axis=0))
     left = x - (others / scale) @ np.linalg.lstsq(others / scale, x, rcond=None)[0]
     spread = np.sum((weighed[:, :, own] - weighed[:, :, own].mean(axis=0)) ** 2)
-    assert decided.own_share(state, fit, "pitch_rate_lift") == pytest.approx(left @ left / spread, rel=1e-3)
-    assert np.isnan(decided.own_share(state, fit, "sideslip_drag"))  # not in
+    assert decided.own_share(state, "pitch_rate_lift") == pytest.approx(left @ left / spread, rel=1e-3)
+    assert np.isnan(decided.own_share(state, "sideslip_drag"))  # not in
 
 
 @pytest.mark.parametrize(("left", "verdict"), [(1.2, Verdict.PARTLY_EXPLAINED), (0.3, Verdict.EXPLAINED)])

@@ -370,7 +370,7 @@ def test_noise_of_the_regressors_is_no_error_of_a_sensor(tmp_path, seed, times, 
 def test_what_outdoes_its_rival_by_less_noise_alone_is_not_named_alone(tmp_path, seed):
     """With three times the noise an accelerometer 2 m away explains more than the missing effect of the rudder."""
     found = searched(tmp_path, seed, 3.0, "rudder_side_force")[1]
-    noise = noise_shares(found.state, found.fit)
+    noise = noise_shares(found.state)
     for name in found.causes:
         assert "rudder_side_force" in (name, *rivals_of(found, name, noise=noise[name])[1])
 
@@ -390,12 +390,12 @@ def test_stretches_take_a_wrong_correction_back_and_scatter_by_their_own_estimat
     theta, wrong = state.theta.copy(), 0.2
     theta[state.full.columns(["accel_z_bias"])] += wrong
     state = moved(state, theta, tuple(dict.fromkeys((*state.active, name))))  # chance may have it in, too small to tell
-    (step,), ((variance,),) = Blocks(state, state.fit()).judge(name)
+    (step,), ((variance,),) = Blocks(state).judge(name)
     left = wrong + state.fit().step[list(state.fit().columns).index(state.full.columns(["accel_z_bias"])[0])]
     assert abs(left) < 0.1 * wrong
     assert abs(step) < 5.0 * np.sqrt(variance) + 0.1 * wrong
     # For an effect with equal information in every stretch: the standard error of the mean of estimates.
-    judged = Blocks(found.base, found.base_fit)
+    judged = Blocks(found.base)
     assert judged.freedom == 2 * round(90.0 / DEFAULT.block) - 1
     name = "pitch_rate_bias"
     step, covariance = judged.judge(name)
@@ -425,7 +425,7 @@ def test_the_coefficients_deny_a_correction_that_harms_them(silent, card, monkey
         theta[state.full.columns(["airspeed_bias"])] = 2.0
         state = moved(state, theta, tuple(dict.fromkeys((*state.active, name))))
         sizes = {**found.sizes, name: Size(2.0, 0.1, "m/s")}
-        return replace(found, state=state, fit=state.fit(), sizes=sizes, causes=(name,))
+        return replace(found, state=state, sizes=sizes, causes=(name,))
 
     monkeypatch.setattr(stages, "check_sensors", wrong)
     found = diagnose(silent, card, settings=DiagnosisSettings(gains=False))

@@ -317,9 +317,9 @@ def test_a_residual_model_is_one_class(card, model):
     measured = measured + 0.05 * measured.std(axis=0) * rng.standard_normal(measured.shape)
     straight = Straight(state.responses.flights, full.model, measured, sensitivities)
     theta = np.where(truth == 8.0, 0.0, truth)
-    found = screen(there := linearised(full, straight, NAMES, theta), there.fit())
+    found = screen(linearised(full, straight, NAMES, theta))
     assert found.candidate_scores[0].effect == "pitch_rate_lift"
-    (size,) = refitted(linearised(full, straight, NAMES, theta, active=("pitch_rate_lift",)))[0].theta[
+    (size,) = refitted(linearised(full, straight, NAMES, theta, active=("pitch_rate_lift",))).theta[
         full.own_columns("pitch_rate_lift")
     ]
     assert size == pytest.approx(8.0, rel=0.1)
@@ -433,7 +433,8 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
     given |= {"theta": np.array([found]), "residual": (y - found * beta)[:, None]}
     state = state_of(beta[:, None, None], (slice(0, n),), **given)
     fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[beta @ beta / left]]), np.array([left]), 0.0)
-    ((low, high),) = selection.largest_noise_bias(state, fit).values()
+    object.__setattr__(state, "best", fit)
+    ((low, high),) = selection.largest_noise_bias(state).values()
     exact = -left / (found * np.mean(beta**2))
     assert sorted((low, high)) == pytest.approx(sorted((0.0, exact)), rel=0.05, abs=1e-6)
     assert found - high <= slope + 0.01 <= found - low + 0.02 or share < 0.1
@@ -449,8 +450,7 @@ def test_a_size_that_may_as_well_be_none_is_no_cause(monkeypatch, scores, named)
     full = part(CandidateModel, candidates=(CATALOGUE["cg_shift"],), model=Model.of(["cg_shift"]))
     state = part(SelectionState, active=("cg_shift",), full=full)
     monkeypatch.setattr(selection, "largest_noise_bias", lambda *_: {})
-    fit = RegressionFit(np.zeros(0, int), np.zeros(0), np.zeros((0, 0)), np.ones(1), 0.0)
-    causes, minor = worth(state, fit, {"cg_shift": Size(size, size / score, "m")})
+    causes, minor = worth(state, {"cg_shift": Size(size, size / score, "m")})
     assert (causes, minor) == ((("cg_shift",), ()) if named else ((), ("cg_shift",)))
     assert scores[0] > DEFAULT.least_score or not named
 
@@ -489,7 +489,7 @@ def test_what_mixes_noise_or_must_be_larger_than_aircraft_have_is_no_rival(
         Extension, base=part(SelectionState, active=()), state=state, too_large=None,
         sizes={rival: Size(before * size, 1.0, "m")},
     )  # fmt: skip
-    probability, rivals = diagnose.rivals_of(part(Extension, state=state, fit=None, too_large=sized), cause)
+    probability, rivals = diagnose.rivals_of(part(Extension, state=state, too_large=sized), cause)
     assert rivals == ((rival,) if close else ())
     assert probability == pytest.approx(0.5 if close else 1.0)
 
@@ -525,7 +525,7 @@ def fitted(rudder: np.ndarray, hidden: float) -> Extension:
     theta[model.names.index("Cndr")] = at(theta).fit().step.sum()  # one, or none where the rudder makes nothing
     state = at(theta)
     sizes = {"Cndr": Size(float(theta[model.names.index("Cndr")]), 1e-3, "1/rad")}
-    return part(Extension, state=state, fit=state.fit(), sizes=sizes)
+    return part(Extension, state=state, sizes=sizes)
 
 
 def test_what_a_rudder_at_rest_takes_up_has_the_size_that_it_has_with_a_usual_rudder():

@@ -350,7 +350,7 @@ def test_a_size_on_its_bound_is_no_measurement(diagnosed):
     column = int(state.full.columns([name])[0])
     theta = state.theta.copy()
     theta[column] = state.full.model.free[column].bounds[1] - 1e-9
-    found = sizes(replace(state, theta=theta), extension.fit)
+    found = sizes(replace(state, theta=theta))
     assert [n for n, size in found.items() if size.at_bound] == [name]
     assert not any(size.at_bound for size in extension.sizes.values())
     held = replace(cause, parameters={name: found[name]})
