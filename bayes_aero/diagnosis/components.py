@@ -11,20 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from bayes_aero.diagnosis import screening
 from bayes_aero.diagnosis.result import ParameterChange, ProductTerm, TermFactor
-from bayes_aero.diagnosis.screening import (
-    Autocorrelation,
-    ScreeningResult,
-    SharedNoise,
-    autocorrelation_of,
-    autocorrelations_of,
-    chance_of,
-    inflation_along,
-    noise_records,
-    null_shares,
-    unbiased,
-    uncertainty,
-)
 from bayes_aero.diagnosis.selection import holdout_deviance_gain, recording_noise
 from bayes_aero.diagnosis.selection_state import (
     TINY,
@@ -312,8 +300,10 @@ class Trial:
 
     def chance(self, among: Sequence[SelectionState], seed: int) -> float:
         """How often noise of the colour that is left alone lets some component of these explain as large a share."""
-        colour = autocorrelation_of(self.left, self.state.folds)
-        return chance_of(self.share, np.max([null_shares(x, colour, self.fit.variance, seed) for x in among], axis=0))
+        colour = screening.autocorrelation_of(self.left, self.state.folds)
+        return screening.chance_of(
+            self.share, np.max([screening.null_shares(x, colour, self.fit.variance, seed) for x in among], axis=0)
+        )
 
 
 # --- The library's terms, and polynomials, as columns of a regression.
@@ -433,7 +423,7 @@ class FoundChange(FoundComponent):
     unit: float  # what a step of one is of the component
     scan: ChangeScan
     residual: Rows
-    colour: Autocorrelation
+    colour: screening.Autocorrelation
     gain: float  # deviance that it takes away
     gained: float  # deviance of the parts left out
 
@@ -460,11 +450,14 @@ def sought_change(
     if not enough or _by_noise(trial, scan, at, unit):
         return None
     # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
-    noise, colour = SharedNoise(seed, folds, len(state.outputs), settings), autocorrelation_of(trial.left, folds)
-    again = [scan.without_leader(x) for x in noise_records(whole, held, colour, noise.correction)]
-    colour = unbiased(colour, autocorrelations_of(np.array(again), folds))
-    nulls = [scan.statistic(x) for x in noise_records(whole, held, colour, noise.replicates)]
-    p = chance_of(scan.statistic(residual), np.array(nulls))
+    noise, colour = (
+        screening.SharedNoise(seed, folds, len(state.outputs), settings),
+        screening.autocorrelation_of(trial.left, folds),
+    )
+    again = [scan.without_leader(x) for x in screening.noise_records(whole, held, colour, noise.correction)]
+    colour = screening.unbiased(colour, screening.autocorrelations_of(np.array(again), folds))
+    nulls = [scan.statistic(x) for x in screening.noise_records(whole, held, colour, noise.replicates)]
+    p = screening.chance_of(scan.statistic(residual), np.array(nulls))
     if p > settings.change_false_alarm_rate:
         return None
     gain = whole.best.deviance - trial.fit.deviance
@@ -630,7 +623,6 @@ class ChangeScan:
         return residual - self.explained(*at, estimate)
 
     def statistic(self, residual: Rows) -> float:
-        """Deviance that the leader takes away over what it leaves."""
         gain = self.leader(residual)[1]
         return gain / (float(np.sum(residual**2 * self.weight)) - gain)
 
@@ -656,7 +648,7 @@ NEAREST = 200  # moments that are compared with the best one, those that explain
 
 
 def reported_change(
-    state: SelectionState, change: FoundChange, chosen: Sequence[Component], election: ScreeningResult | None
+    state: SelectionState, change: FoundChange, chosen: Sequence[Component], election: screening.ScreeningResult | None
 ) -> ParameterChange:
     """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
     span, column = change.scan.over[change.at[0]], int(change.scan.columns[change.at[1]])
@@ -691,7 +683,7 @@ def _sizes(
     place = len(fit.columns) - sum(widths) + sum(widths[: [c is change.component for c in chosen].index(True)])
     (at,), combinations = fit.places([column]), np.zeros((3, len(fit.columns)))
     combinations[[0, 1], at], combinations[[1, 2], place] = 1.0, change.unit
-    variance = np.einsum("ai,ij,aj->a", combinations, uncertainty(whole), combinations)
+    variance = np.einsum("ai,ij,aj->a", combinations, screening.uncertainty(whole), combinations)
     values = combinations @ fit.step + state.theta[column] * np.array([1.0, 1.0, 0.0])
     return [(float(x), float(sd)) for x, sd in zip(values, np.sqrt(np.maximum(variance, 0.0)), strict=True)]
 
@@ -708,7 +700,7 @@ def _as_good(state: SelectionState, change: FoundChange) -> tuple[tuple[int, int
     # Two changes are told from each other by the residual along the difference of what they explain.
     apart = np.stack([scan.explained(*place, float(estimates[place])) for place in places], axis=2)
     apart[:, :, 1:] = apart[:, :, :1] - apart[:, :, 1:]
-    inflation = inflation_along(apart, scan.weight, manoeuvres(state.responses.manoeuvre), change.colour)
+    inflation = screening.inflation_along(apart, scan.weight, manoeuvres(state.responses.manoeuvre), change.colour)
     lost = [nats(float(gains[span, parameter] - gains[p]), float(x)) for p, x in zip(places, inflation, strict=True)]
     times = [scan.over[i].begin for i, x in zip(same, lost[1:], strict=False) if x <= settings.change_interval]
     names = [state.full.model.names[scan.columns[p]] for _, p in others]

@@ -132,7 +132,6 @@ def _plain(effect: Effect, sizes: Mapping[str, Size], joint: Mapping[str, float]
 
 
 def checks(flights: Flights, card: Card, seed: int) -> tuple[PathCheck, ...]:
-    """`path_check` of each manoeuvre, with the sensors where `flights` say that they are."""
     return tuple(path_check(path) for path in _paths(flights, card, seed))
 
 
@@ -213,7 +212,6 @@ def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
 
 
 def as_the_card_states(flights: Flights, card: Card) -> Flights:
-    """Flights without the errors of the record that the card states."""
     if card.linear is not None:
         return flights
     model = Model.from_card(card)
@@ -586,8 +584,7 @@ AIR_DATA = ("airspeed", "alpha", "beta")
 def sensor_noise(
     channels: Mapping[str, Series], card: Card
 ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Standard deviations in SI by channel: white noise that is permitted in one record (as stated, or as the record
-    shows it up to `NOISIER` times that), a constant error as large as the stated noise, and the white noise shown."""
+    """Standard deviations by channel, SI: permitted white noise, a constant error, and the white noise shown."""
     stated = {name: float(card.sensors.get(name) or DEFAULT_NOISE[name]) for name in DEFAULT_NOISE if name in channels}
     shown = {name: noise_of(np.asarray(channels[name])) for name in stated}
     permitted = {n: float(np.clip(shown[n], sd, NOISIER * sd)) for n, sd in stated.items()}

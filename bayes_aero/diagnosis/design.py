@@ -122,7 +122,6 @@ def candidates_of(state: SelectionState, effects: Sequence[str]) -> list[Effect]
 
 
 def variants_of(state: SelectionState, effects: Sequence[str], envelope: Envelope) -> list[Standard]:
-    """The standard manoeuvres with every amplitude and airspeed, inside the envelope."""
     pairs = [{"amplitude": amplitude, "faster": faster} for faster in FASTER for amplitude in AMPLITUDES]
     return [standard(state, effects, **pair, envelope=envelope) for pair in pairs]
 
@@ -374,8 +373,7 @@ def on_record(
     flown: Standard | None = None,
     name: str = "",
 ) -> SelectionState:
-    """The problem linearised on the records, or on one manoeuvre of `flown`, with the `chosen` effects as candidates,
-    and the additions and the inflation of `state`."""
+    """The problem of `state` on its records, or on one manoeuvre of `flown`, with `chosen` effects as candidates."""
     flights_of(state)
     full, responses, theta, outputs = state.full, state.responses, state.theta, noise.outputs
     if flown is not None:

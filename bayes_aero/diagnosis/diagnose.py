@@ -263,7 +263,6 @@ def structure_of(result: SearchResult, unnamed: Sequence[Cause]) -> tuple[Unexpl
 
 
 def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
-    """How the card's parameters moved."""
     before, after, estimates = extension.base, extension.state, extension.sizes
     return {
         name: (float(before.theta[before.full.columns([name])[0]]), float(after.theta[i]), estimates[name].sd)
@@ -608,7 +607,6 @@ def holdout_scores(view: View) -> HoldoutScores:
 
 
 def with_holdout_scores(view: View) -> View:
-    """The same with both models on each manoeuvre, where there are several and something was added."""
     if len(view.names) == 1 or not view.extended.state.active:
         return view
     return replace(view, holdout=holdout_scores(view))

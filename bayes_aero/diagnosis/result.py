@@ -202,7 +202,6 @@ class Diagnosis:
 
     @property
     def left(self) -> tuple[UnexplainedStructure | ParameterChange, ...]:
-        """What no cause explains."""
         return (*self.unknown, *self.changes)
 
     @property
@@ -484,11 +483,9 @@ class TrajectoryFit:
 
     @property
     def manoeuvres(self) -> tuple[str, ...]:
-        """Names of the manoeuvres."""
         return tuple(dict.fromkeys(p.manoeuvre for p in self.paths))
 
     def path(self, manoeuvre: str, model: str) -> SimulatedManoeuvre:
-        """The path of one manoeuvre and model (`start` or `fitted`)."""
         return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
 
     @property

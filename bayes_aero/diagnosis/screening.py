@@ -143,7 +143,6 @@ def autocorrelation_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice
 
 
 def autocorrelations_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[slice]) -> list[Autocorrelation]:
-    """`autocorrelation_of` of r records at once."""
     each = [
         autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
         for c in range(residuals.shape[2])
@@ -163,7 +162,6 @@ def unbiased(colour: Autocorrelation, again: Sequence[Autocorrelation]) -> Autoc
 
 
 def lag1_within(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " n"]) -> float:
-    """Correlation of neighbouring samples, within manoeuvres."""
     parts = [r - r.mean() for r in (residual[manoeuvre == k] for k in range(int(manoeuvre[-1]) + 1))]
     return float(sum(np.sum(r[1:] * r[:-1]) for r in parts) / sum(np.sum(r**2) for r in parts))
 
@@ -344,7 +342,6 @@ class ScreeningResult:
     nulls: Float[np.ndarray, " r"]
 
     def p_value(self, score: float) -> float:
-        """Share of noise-only replicates in which some candidate scores at least as high."""
         return chance_of(score, self.nulls)
 
     def threshold(self, level: float) -> float:
@@ -437,7 +434,6 @@ def noise_records(
 
 
 def chance_of(score: float, nulls: Float[np.ndarray, " r"]) -> float:
-    """p-value of a score among those of noise-only records."""
     return float((1 + np.sum(nulls >= score)) / (1 + len(nulls)))
 
 
@@ -500,8 +496,7 @@ def jackknife_p_value(
 
 
 def refit_p_value(state: SelectionState, standing: CandidateScore, noise: SharedNoise) -> float:
-    """Share of noise-only replicates whose most explaining candidate scores at least as high as this one, each under
-    its own colour; 1 where the score or the Bayes factor is too small."""
+    """How often noise alone scores as high, each record under its own colour; 1 where the score itself is too small."""
     wider = state.fit(state.wider(standing.columns))
     fit, blocks = state.fit(held=wider.variance), [b[1] for b in state.blocks if b[0] not in state.active]
     projected = PartialledRegression(state, fit, blocks)

@@ -77,7 +77,6 @@ class Extension:
 
     @property
     def larger(self) -> tuple[Extension, ...]:
-        """Every `too_large` extension, the last first."""
         return () if self.too_large is None else (self.too_large, *self.too_large.larger)
 
 
@@ -97,13 +96,11 @@ def plausible(
 
 
 def forward_selection(state: SelectionState, **options: Any) -> Extension:
-    """Add effects to `state` until none is both beyond chance and useful on data left out, and size them; `options` as
-    of `selected`."""
+    """Add effects until none is both beyond chance and useful on data left out, and size them (see `selected`)."""
     return sized(selected(state, **options))
 
 
 def plausible_selection(state: SelectionState, **options: Any) -> Extension:
-    """`forward_selection` of what is no larger than aircraft have."""
     return plausible(lambda barred: forward_selection(state, barred=barred, **options))
 
 
@@ -440,7 +437,6 @@ def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingP
 
 
 def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Additions whose estimates are correlated, each with its partners and the correlation: no size holds alone."""
     partners: dict[str, dict[str, float]] = {}
     for (one, other), _, C in _correlated_parameters(extension, effects):
         partners.setdefault(one, {})[other] = partners.setdefault(other, {})[one] = _correlation(C)
@@ -508,7 +504,6 @@ def implausible_candidate(effect: Effect, standing: CandidateScore) -> bool:
 
 
 def recording_noise(flights: Flights) -> dict[str, float]:
-    """Standard deviation of the white part of every recorded channel, SI (see `noise_of`)."""
     return {name: noise_of(*by_manoeuvre(np.asarray(flights.channels[name]), flights)) for name in flights.recorded}
 
 

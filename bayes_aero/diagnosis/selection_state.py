@@ -139,7 +139,6 @@ class CandidateModel:
 
     @property
     def neutral_vector(self) -> Float[np.ndarray, " k"]:
-        """Neutral value of every free parameter, finite."""
         return self.vector({})
 
     def vector(self, values: Mapping[str, float]) -> Float[np.ndarray, " k"]:
@@ -169,7 +168,6 @@ class CandidateModel:
         return np.array([self.model.places[name] for name in names], int)
 
     def own_columns(self, *effects: str) -> np.ndarray:
-        """Index of each parameter that these effects own."""
         return self.columns([name for effect in effects for name in self.parameters_of(effect)])
 
     def parameters_of(self, effect: str) -> tuple[str, ...]:
@@ -181,7 +179,6 @@ def finite(neutral: float) -> float:
 
 
 def lag_of(full: CandidateModel) -> Effect | None:
-    """The candidate that lets the separation point lag and can be flown."""
     lags = (e for e in full.candidates if e.stage is Stage.LAG)
     return next((e for e in lags if any(p.role is Role.LAG for p in e.parameters)), None)
 
@@ -330,7 +327,6 @@ class RegressionFit:
     deviance: float  # sum over outputs of n log(variance), plus the prior's quadratic form
 
     def places(self, columns: Sequence | np.ndarray) -> list[int]:
-        """Where each of these columns stands among the active ones."""
         return [int(np.flatnonzero(self.columns == column)[0]) for column in columns]
 
 
@@ -349,12 +345,10 @@ class Products:
         return cls(gram, np.array([fold.stop - fold.start for fold in folds]))
 
     def over(self, folds: Sequence[int]) -> Products:
-        """The chosen folds summed into one."""
         chosen = list(folds)
         return Products(self.gram[chosen].sum(axis=0, keepdims=True), self.count[chosen].sum(keepdims=True))
 
     def without(self, fold: int) -> Products:
-        """All folds but one summed into one."""
         return self.over([f for f in range(len(self.count)) if f != fold])
 
     def only(self, columns: Int[np.ndarray, " k"]) -> Products:
@@ -428,7 +422,6 @@ class Products:
         precision: np.ndarray,
         held: Float[np.ndarray, " c"] | None = None,
     ) -> RegressionFit:
-        """One set of columns."""
         step, normal, variance, deviance = self.fit_many(columns[None], mean, precision, held)
         return RegressionFit(columns, step[0], normal[0], variance[0], float(deviance[0]))
 
@@ -522,7 +515,6 @@ class SelectionState:
 
     @cached_property
     def kept_outputs(self) -> list[int]:
-        """Places of the outputs among those of the responses."""
         return [self.responses.outputs.index(name) for name in self.outputs]
 
     @property
@@ -551,7 +543,6 @@ class SelectionState:
 
     @property
     def component_columns(self) -> list[Int[np.ndarray, " w"]]:
-        """Columns of each component that is a candidate."""
         widths = [c.basis.shape[2] for c in (*self.chosen, *self.components)]
         begins = len(self.theta) + self.nuisance + len(self.scans) + np.cumsum([0, *widths])
         return [np.arange(a, b) for a, b in pairwise(begins)][len(self.chosen) :]
@@ -578,7 +569,6 @@ class SelectionState:
         return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets, chosen])
 
     def wider(self, columns: Sequence[int] | np.ndarray) -> Int[np.ndarray, " k"]:
-        """The active columns and these."""
         return np.concatenate([self.columns(), np.array(columns, int)])
 
     def fit(self, columns: Int[np.ndarray, " k"] | None = None, held: np.ndarray | None = None) -> RegressionFit:
@@ -587,7 +577,6 @@ class SelectionState:
 
     @cached_property
     def best(self) -> RegressionFit:
-        """The fit with the effects that are in."""
         return self.fit()
 
     def left(self, fit: RegressionFit | None = None) -> Float[np.ndarray, "m c"]:
@@ -633,7 +622,6 @@ class SelectionState:
 
     @cached_property
     def scaled(self) -> Float[np.ndarray, "m c K"]:
-        """Sensitivities divided by the noise_growth."""
         return self.S / self.noise_growth[:, :, None]
 
 
@@ -722,7 +710,6 @@ LEAST_GAIN = 0.05  # of the deviance
 
 
 def refitted(state: SelectionState) -> SelectionState:
-    """The state at the optimum of all active parameters."""
     return moved(state, optimum(state, range(len(state.folds))))
 
 
@@ -772,8 +759,7 @@ def local_fit(
     held: Float[np.ndarray, " c"] | None = None,
     linear: tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c a"]] | None = None,
 ) -> tuple[RegressionFit, float]:
-    """Regression on the columns `at` at `theta`, and the deviance there; with variances it finds, or `held` ones.
-    `linear`: the residuals there and their sensitivities, where these are known."""
+    """Regression on the columns `at` at `theta`, and the deviance there; `linear`: residuals and slopes, if known."""
     if linear is None:
         residual, S = (x[:, state.kept_outputs] for x in state.responses.linearise(theta, at))
         linear = residual, np.where(np.isfinite(S), S, 0.0)

@@ -21,30 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis import result
 from bayes_aero.diagnosis.consistency import sensor_noise
-from bayes_aero.diagnosis.result import (
-    FITTED,
-    HALF,
-    START,
-    WINDOW,
-    Confirmation,
-    Diagnosis,
-    Disagreement,
-    Error,
-    FlownMode,
-    GustHistory,
-    LagTest,
-    Motion,
-    OutputMiss,
-    ProcessNoise,
-    Setting,
-    SimulatedManoeuvre,
-    Tested,
-    Trajectories,
-    TrajectoryEstimates,
-    TrajectoryFit,
-    theil_parts,
-)
 from bayes_aero.diagnosis.selection import Extension, LeftOut, backward_elimination, large, normal_draws
 from bayes_aero.diagnosis.selection_state import (
     DEFAULT,
@@ -72,20 +50,9 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import channels_of
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference import output_error
 from bayes_aero.inference.covariance import corrected_covariance, median_inflation, variance_inflation
 from bayes_aero.inference.optimise import solve
-from bayes_aero.inference.output_error import (
-    THINNING,
-    NormalEquations,
-    OutputErrorResult,
-    SeparatedFlow,
-    fit_cascade,
-    fit_output_error,
-    initial_state_sd,
-    one_by_one,
-    segment_equations,
-    trajectories,
-)
 from bayes_aero.inference.prediction_error import (
     PredictionErrorResult,
     PredictionErrorStatus,
@@ -107,7 +74,6 @@ GIVEN = "given"
 
 
 def label(flown: SegmentTrajectories, row: int) -> str:
-    """The manoeuvre's name; of the halves of a single one, which."""
     name = flown.flights.names[int(flown.manoeuvre[row])]
     if len(flown.flights.lengths) > 1 or len(flown.index) == 1:
         return name
@@ -122,9 +88,9 @@ def simulated(
     departure: Float[np.ndarray, "w s"],
     tolerances: Mapping[str, float],
     draws: Float[np.ndarray, "m k"] | None = None,
-) -> list[SimulatedManoeuvre]:
+) -> list[result.SimulatedManoeuvre]:
     """Every segment of `flown` that counts, with these parameters; with `draws` the chance to stay inside."""
-    (shown, every), paths = one_by_one(flown, jnp.asarray(estimate), jnp.asarray(departure)), []
+    (shown, every), paths = output_error.one_by_one(flown, jnp.asarray(estimate), jnp.asarray(departure)), []
     for row, trajectory in every.items():
         keep = flown.inside[row]
         measured, residual = np.asarray(trajectory.measured[0])[keep], np.asarray(trajectory.residual[0])[keep]
@@ -133,16 +99,18 @@ def simulated(
         for name, z, e in zip(shown, measured.T, residual.T, strict=True):
             tolerance, size, rms = tolerances.get(name), np.abs(e), float(np.sqrt(np.mean(e**2)))
             within = None if tolerance is None else float(np.mean(size <= tolerance))
-            errors[name] = Error(rms, float(size.max()), theil_parts(z, z - e), tolerance, within, chance.get(name))
+            errors[name] = result.Error(
+                rms, float(size.max()), result.theil_parts(z, z - e), tolerance, within, chance.get(name)
+            )
         histories = ({n: x[:, c] for c, n in enumerate(shown)} for x in (measured, measured - residual))
         inside = bool(np.asarray(trajectory.trajectory.inside[0])[keep].all())
         time = flown.flights.time[flown.index[row][keep]]
-        paths.append(SimulatedManoeuvre(label(flown, row), model, split, inside, errors, time, *histories))
+        paths.append(result.SimulatedManoeuvre(label(flown, row), model, split, inside, errors, time, *histories))
     return paths
 
 
 def posterior_draws(
-    fit: OutputErrorResult, variance_inflation: float, seed: int, count: int = DRAWS
+    fit: output_error.OutputErrorResult, variance_inflation: float, seed: int, count: int = DRAWS
 ) -> Float[np.ndarray, "m k"]:
     """Parameters drawn from the posterior, within their bounds."""
     moving = np.flatnonzero(fit.sd > 0.0)
@@ -158,7 +126,7 @@ def _probabilities(
     still = jnp.zeros((1, len(alone.dynamics.start)))
 
     def largest(theta):
-        trajectory = trajectories(alone, jnp.asarray(theta), still)
+        trajectory = output_error.trajectories(alone, jnp.asarray(theta), still)
         inside = np.all(np.asarray(trajectory.trajectory.inside) | ~alone.inside)
         size = np.max(np.abs(np.asarray(trajectory.residual[0])), axis=0)
         return np.where(inside & np.isfinite(size), size, np.inf)
@@ -170,7 +138,7 @@ def _probabilities(
 
 def fly_given(
     flights: Flights, model: Model, values: Mapping[str, float], tolerances: Mapping[str, float]
-) -> tuple[SimulatedManoeuvre, ...]:
+) -> tuple[result.SimulatedManoeuvre, ...]:
     """Every manoeuvre from its measured initial state, with `values` (SI) of parameters; nothing is fitted."""
     dynamics = aircraft_dynamics(model, flights)
     theta = np.array([values.get(p.name, p.start) for p in dynamics.free])
@@ -185,8 +153,8 @@ def fly_given(
 
 @blas_threads(0)
 def with_process_noise(
-    flown: TrajectoryFit,
-) -> tuple[ProcessNoise, Callable[[int, Progress | None, str], dict[str, Posterior]]]:
+    flown: result.TrajectoryFit,
+) -> tuple[result.ProcessNoise, Callable[[int, Progress | None, str], dict[str, Posterior]]]:
     """Fit again in gusts and with noise of every state that is compared; also what samples its posterior."""
     fit = flown.fit
     gusty, filtered = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
@@ -206,7 +174,7 @@ def with_process_noise(
         errors = np.asarray(prediction_errors(gusty.nameless, jnp.asarray(filtered.estimate), filtered.found))
         predicted = one_step(filtered.found, errors, filtered.outputs)
     theirs = [i for i, name in enumerate(filtered.names) if name in own]
-    noise = ProcessNoise(
+    noise = result.ProcessNoise(
         status=filtered.status.value,
         converged=converged,
         gain=filtered.log_likelihood - still,
@@ -225,7 +193,7 @@ def with_process_noise(
 _smoothed = eqx.filter_jit(jax.vmap(smooth))
 
 
-def _histories(gusty: SegmentTrajectories, filtered: PredictionErrorResult) -> tuple[GustHistory, ...]:
+def _histories(gusty: SegmentTrajectories, filtered: PredictionErrorResult) -> tuple[result.GustHistory, ...]:
     """By manoeuvre, by the smoother; only gusts that have an intensity."""
     dynamics, values = gusty.dynamics, dict(zip(filtered.names, filtered.estimate, strict=True))
     model = getattr(dynamics, "model", None)  # of linear cards none
@@ -239,7 +207,7 @@ def _histories(gusty: SegmentTrajectories, filtered: PredictionErrorResult) -> t
         time = np.concatenate([np.asarray(flights.time)[gusty.index[k][real]] for k, real in parts])
         mean, variance = (np.concatenate([y[k, real] for k, real in parts]) for y in (x, P))
         gusts = {name: (mean[:, i], np.sqrt(np.maximum(variance[:, i, i], 0.0))) for name, i in met.items()}
-        histories.append(GustHistory(flights.names[number], time - time[0], gusts))
+        histories.append(result.GustHistory(flights.names[number], time - time[0], gusts))
     return tuple(histories)
 
 
@@ -251,18 +219,17 @@ class FlightNoise:
     """What a first fit tells of residuals: their variance inflation, how they grow in the stall."""
 
     variance_inflation: float
-    parts: SeparatedFlow | None
+    parts: output_error.SeparatedFlow | None
 
     @classmethod
-    def of(cls, fit: OutputErrorResult) -> FlightNoise:
-        return cls(trajectory_variance_inflation(fit), SeparatedFlow.of(fit))
+    def of(cls, fit: output_error.OutputErrorResult) -> FlightNoise:
+        return cls(trajectory_variance_inflation(fit), output_error.SeparatedFlow.of(fit))
 
     def on(self, flown: SegmentTrajectories, without: int | None = None) -> SegmentTrajectories:
         """The same segments with their noise_growth; its size is read from all of them, or from all but one."""
         return flown if self.parts is None else replace(flown, noise_growth=self.parts.noise_growth(without))
 
     def growth_by_output(self, outputs: Sequence[str]) -> dict[str, float]:
-        """By output, how many times more is missed in wholly separated flow than in attached flow."""
         growths = np.zeros(len(outputs)) if self.parts is None else self.parts.growths()
         return {name: 1.0 + float(b) for name, b in zip(outputs, growths, strict=True)}
 
@@ -272,7 +239,7 @@ class CandidateFit:
     """A model fitted to all segments."""
 
     name: str
-    fit: OutputErrorResult
+    fit: output_error.OutputErrorResult
     own: frozenset[str] = frozenset()  # parameters of its causes
     held: Mapping[str, float] = field(default_factory=dict)  # parameters that are never fitted
     weighed: bool = True  # samples count by the noise_growth of what is missed
@@ -282,7 +249,9 @@ class CandidateFit:
         if not self.own:
             return {}
         others = masked(self.fit.flown, segment, keep=False)
-        part = fit_output_error(others, start=self.fit.estimate, departure=self.fit.departure, max_iterations=0)
+        part = output_error.fit_output_error(
+            others, start=self.fit.estimate, departure=self.fit.departure, max_iterations=0
+        )
         rows = zip(self.fit.names, self.fit.estimate, part.crb, self.fit.crb, strict=True)
         with np.errstate(invalid="ignore"):
             return {n: float(x) for n, x, alone, all_ in rows if n in self.own and not alone < unidentified * all_}
@@ -296,19 +265,19 @@ def masked(flown: SegmentTrajectories, segment: int, *, keep: bool) -> SegmentTr
 
 def left_out(
     contenders: Sequence[CandidateFit], silent: Mapping[str, Mapping[int, Mapping[str, float]]], noise: FlightNoise
-) -> Iterator[tuple[str, OutputErrorResult]]:
+) -> Iterator[tuple[str, output_error.OutputErrorResult]]:
     """Every contender (by its name) and segment: the fit to all other segments, its `silent` parameters held."""
     count = len(contenders[0].fit.flown.index)
     jobs = [(c, k) for c in contenders for k in range(count)]
     stopped = Event()
 
-    def one(job: tuple[CandidateFit, int]) -> tuple[str, OutputErrorResult]:
+    def one(job: tuple[CandidateFit, int]) -> tuple[str, output_error.OutputErrorResult]:
         contender, k = job
         fit, held = contender.fit, {**contender.held, **silent[contender.name][k]}
         weighed = noise.on(fit.flown, without=k) if contender.weighed else fit.flown
         options = {"prior_weight": noise.variance_inflation, "stopped": stopped.is_set}
         rest = masked(weighed, k, keep=False)
-        return contender.name, fit_output_error(rest, start=fit.estimate, held=held, **options)
+        return contender.name, output_error.fit_output_error(rest, start=fit.estimate, held=held, **options)
 
     # Two fits keep as many cores busy as one with twice the segments, so several are made at once.
     with ThreadPoolExecutor(max(1, cores() // max(1, count - 1))) as pool:
@@ -321,11 +290,11 @@ def left_out(
 
 def holdout_fits(
     contender: CandidateFit,
-    fits: Sequence[OutputErrorResult],
+    fits: Sequence[output_error.OutputErrorResult],
     tolerances: Mapping[str, float],
     variance_inflation: float = 1.0,
     seed: int = 0,
-) -> list[SimulatedManoeuvre]:
+) -> list[result.SimulatedManoeuvre]:
     """Every segment flown from its measured initial state by the fit without it, in order, and by draws of it."""
     flown, still = contender.fit.flown, np.zeros_like(contender.fit.departure)
     paths = []
@@ -337,7 +306,9 @@ def holdout_fits(
     return paths
 
 
-def left_out_of(paths: Sequence[SimulatedManoeuvre], flown: SegmentTrajectories, variance_inflation: float) -> LeftOut:
+def left_out_of(
+    paths: Sequence[result.SimulatedManoeuvre], flown: SegmentTrajectories, variance_inflation: float
+) -> LeftOut:
     """What simulations, in order, miss of every segment of `flown`."""
     left = [np.stack([p.measured[n] - p.simulated[n] for n in flown.outputs], axis=1) for p in paths]
     scaled = [x / s for x, s in zip(left, flown.growth, strict=True)]
@@ -376,7 +347,7 @@ def with_lag(
     noise: FlightNoise,
     flights: Flights,
     settings: DiagnosisSettings = DEFAULT,
-) -> tuple[CandidateFit, LagTest]:
+) -> tuple[CandidateFit, result.LagTest]:
     """The extended model with the lag, fitted to all; hysteresis left at none is held: the lag stands for it."""
     hysteresis = [e for e in model.effects if e.stage is Stage.INCIDENCE and "incidence" in e.example.increments]
     neutral = {name: x for e in hysteresis for name, x in e.neutral_values.items()}
@@ -391,12 +362,12 @@ def with_lag(
     start = np.array([fitted.get(p.name, p.start) for p in dynamics.free])
     whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))
     inflation = noise.variance_inflation
-    fit = fit_output_error(whole, start=start, prior_weight=inflation)
+    fit = output_error.fit_output_error(whole, start=start, prior_weight=inflation)
     values = dict(zip(fit.names, fit.estimate, strict=True))
     none = {n: x for n, x in neutral.items() if n in fit.at_bound and values[n] == x}
     if none:
         again = {"start": fit.estimate, "departure": fit.departure, "held": none}
-        fit = fit_output_error(whole, **again, prior_weight=inflation)
+        fit = output_error.fit_output_error(whole, **again, prior_weight=inflation)
     gain = -np.inf
     if fit.status in SETTLED and extended.fit.status in SETTLED:
         gain = (extended.fit.cost - fit.cost) / inflation
@@ -404,11 +375,13 @@ def with_lag(
     estimates = {n: (float(x), float(s)) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
     away = {p.name: p.away(*estimates[p.name]) for p in effect.parameters if p.name in effect.sizes}
     slight = bool(np.isfinite(gain) and not large(effect, away, settings.least_score))
-    lag = LagTest(effect.name, float(gain), instead=tuple(none), slight=slight, decisive=settings.decisive)
+    lag = result.LagTest(effect.name, float(gain), instead=tuple(none), slight=slight, decisive=settings.decisive)
     return CandidateFit("lagged", fit, extended.own | {p.name for p in effect.parameters}, none), lag
 
 
-def confirmed(lag: LagTest, without: LeftOut, lagged: LeftOut, hold_out: float = DEFAULT.hold_out) -> LagTest:
+def confirmed(
+    lag: result.LagTest, without: LeftOut, lagged: LeftOut, hold_out: float = DEFAULT.hold_out
+) -> result.LagTest:
     """Kept if hold-out prediction degrades without the lag, as for any cause; both predict the same manoeuvres."""
     gain, sd = lagged.gain(without)
     return replace(lag, unseen=(gain, sd), kept=bool(lagged.flyable and gain > hold_out * sd))
@@ -423,14 +396,14 @@ class Elimination(NamedTuple):
     """The contender with what flight misses, its fits to all segments but one each, and by what each is missed."""
 
     contender: CandidateFit
-    fits: Sequence[OutputErrorResult]
-    confirmation: Confirmation
+    fits: Sequence[output_error.OutputErrorResult]
+    confirmation: result.Confirmation
     gone: frozenset[str] = frozenset()  # parameters of causes that were taken out, held at neutral
 
 
 def eliminate(
     contender: CandidateFit,
-    fits: Sequence[OutputErrorResult],
+    fits: Sequence[output_error.OutputErrorResult],
     causes: Sequence[Effect],
     silent: Mapping[int, Mapping[str, float]],
     noise: FlightNoise,
@@ -461,14 +434,14 @@ def eliminate(
         return left_out_of(holdout_fits(less, made[key], {}), fit.flown, inflation)
 
     if not refitted(tuple(neutral)).flyable:  # what cannot be flown is no measure of anything
-        return Elimination(contender, fits, Confirmation((), {}))
+        return Elimination(contender, fits, result.Confirmation((), {}))
     near = _FirstOrder(contender, silent, inflation)
     confirmation = backward_elimination(tuple(neutral), lambda e: near.left_out(absent(e)), refitted, settings)
     less = without(confirmation.kept)
     gone = frozenset(less.held) - frozenset(contender.held)
     if not gone:
         return Elimination(contender, fits, confirmation)
-    again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=inflation)
+    again = output_error.fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=inflation)
     return Elimination(replace(less, fit=again), made[confirmation.kept], confirmation, gone)
 
 
@@ -479,10 +452,10 @@ class _FirstOrder:
         self, contender: CandidateFit, silent: Mapping[int, Mapping[str, float]], variance_inflation: float
     ) -> None:
         fit = contender.fit
-        equations, still = NormalEquations(fit.flown, fit.priors), np.zeros_like(fit.departure)
+        equations, still = output_error.NormalEquations(fit.flown, fit.priors), np.zeros_like(fit.departure)
         # At the optimum, with the fitted initial states, and with the measured ones.
         fitted, measured = (equations.evaluate(fit.estimate, begin) for begin in (fit.departure, still))
-        self.A, self.g, _ = segment_equations(fitted, fit.priors)
+        self.A, self.g, _ = output_error.segment_equations(fitted, fit.priors)
         self.columns, self.inflation = np.concatenate(measured.products.columns), variance_inflation
         self.contender, self.silent = contender, silent
 
@@ -504,13 +477,13 @@ class _FirstOrder:
 # --- Variance inflation of a fit to trajectories.
 
 
-def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
+def trajectory_variance_inflation(fit: output_error.OutputErrorResult) -> float:
     """Median variance inflation of the parameters, from Morelli and Klein's covariance of thinned means."""
     k, residual, S = len(fit.estimate), fit.thinned_columns[..., 0], fit.thinned_columns[..., 1:]
     if fit.priors.fixed:
         S = S[..., :k]
     w, m, c, wide = S.shape
-    inside = fit.flown.inside[:, : m * THINNING].reshape(w, m, THINNING).all(axis=2)
+    inside = fit.flown.inside[:, : m * output_error.THINNING].reshape(w, m, output_error.THINNING).all(axis=2)
     whole = np.zeros((w, m, c, k + w * (wide - k)))
     whole[..., :k] = S[..., :k]
     for row in range(w):  # every segment has its own initial state
@@ -529,7 +502,7 @@ def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
     D = np.linalg.pinv(information[np.ix_(used, used)] / scale, rcond=1e-10, hermitian=True) / scale
     corrected = corrected_covariance(D, flat[:, :, used], fit.R, r, segment, start)
     parameters = int(np.sum(used[:k]))
-    return median_inflation(THINNING * variance_inflation(np.diag(corrected), np.diag(D))[:parameters])
+    return median_inflation(output_error.THINNING * variance_inflation(np.diag(corrected), np.diag(D))[:parameters])
 
 
 FIRST_INFLATION = 30.0  # variance inflation that is assumed until it is measured
@@ -539,13 +512,13 @@ LEFT = ("altitude",)  # reported, not fitted: it adds wind and pressure errors t
 @blas_threads(0)
 def compare_trajectories(
     flights: Flights,
-    diagnosis: Diagnosis,
+    diagnosis: result.Diagnosis,
     tolerances: Mapping[str, float],
     *,
     biases: Mapping[str, Prior] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> Trajectories:
+) -> result.Trajectories:
     """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
     `biases`: outputs recorded with a constant error in each manoeuvre, which are fitted, too."""
 
@@ -560,7 +533,7 @@ def compare_trajectories(
     tell("left out", 0.5)
     count, inflation = len(extended.fit.flown.index), noise.variance_inflation
     silent = {name: {k: c.silent(k, settings.unidentified) for k in range(count)} for name, c in contenders.items()}
-    fits: dict[str, list[OutputErrorResult]] = {name: [] for name in contenders}
+    fits: dict[str, list[output_error.OutputErrorResult]] = {name: [] for name in contenders}
     for number, (name, fit) in enumerate(left_out(tuple(contenders.values()), silent, noise), start=1):
         fits[name].append(fit)
         tell("left out", 0.5 + 0.3 * number / (count * len(contenders)))
@@ -579,7 +552,7 @@ def compare_trajectories(
         paths += [replace(p, model=name) for p in holdout_fits(c, without, tolerances, inflation, seed)]
     fit, gone = flies.contender.fit, flies.gone
     sd = np.sqrt(inflation * np.diag(fit.covariance))
-    return Trajectories(
+    return result.Trajectories(
         paths=tuple(paths),
         card=_estimates(contenders["card"].fit),
         extended=_estimates(fit, gone),
@@ -594,17 +567,21 @@ def compare_trajectories(
     )
 
 
-def _estimates(fit: OutputErrorResult, gone: Collection[str] = ()) -> TrajectoryEstimates:
+def _estimates(fit: output_error.OutputErrorResult, gone: Collection[str] = ()) -> result.TrajectoryEstimates:
     """Of a fit, without the parameters that are `gone`."""
     values = {n: float(x) for n, x in zip(fit.names, fit.estimate, strict=True) if n not in gone}
     units = {p.name: p.unit for p in fit.parameters if p.name in values}
     held = tuple(n for n in fit.held_by_prior if n in values)
-    return TrajectoryEstimates(values, units, fit.status, fit.at_bound, held)
+    return result.TrajectoryEstimates(values, units, fit.status, fit.at_bound, held)
 
 
 def _contenders(
-    diagnosis: Diagnosis, added: Sequence[Effect], flights: Flights, biases: Mapping[str, Prior] | None, tell: Progress
-) -> tuple[dict[str, CandidateFit], LagTest | None, FlightNoise]:
+    diagnosis: result.Diagnosis,
+    added: Sequence[Effect],
+    flights: Flights,
+    biases: Mapping[str, Prior] | None,
+    tell: Progress,
+) -> tuple[dict[str, CandidateFit], result.LagTest | None, FlightNoise]:
     """The extended model fitted to all flights, the one with a lag where that gains, and the card's."""
     whole = diagnosis.aerodynamics.state.full
     base = [e for e in whole.model.effects if e.name in whole.base or not e.parameters]
@@ -612,10 +589,10 @@ def _contenders(
     tell("extended model", 0.0)
     side = partial(_side, flights, biases)
     stages, start = side(model, values)
-    joint = fit_cascade(stages, [start], prior_weight=FIRST_INFLATION)
+    joint = output_error.fit_cascade(stages, [start], prior_weight=FIRST_INFLATION)
     noise = FlightNoise.of(joint)
     options = {"departure": joint.departure, "prior_weight": noise.variance_inflation}
-    joint = fit_output_error(noise.on(stages[-1]), start=joint.estimate, **options)
+    joint = output_error.fit_output_error(noise.on(stages[-1]), start=joint.estimate, **options)
     extended = CandidateFit("extended", joint, frozenset(p.name for e in added for p in e.parameters))
     contenders, lag, effect = [extended], None, open_lag(whole, diagnosis.aerodynamics, model)
     if effect is not None:
@@ -631,7 +608,7 @@ def _contenders(
 
 
 def _card(
-    diagnosis: Diagnosis,
+    diagnosis: result.Diagnosis,
     bare: Model,
     stages: list[SegmentTrajectories],
     added: Sequence[Effect],
@@ -650,7 +627,7 @@ def _card(
     fitted = dict(zip(extended.fit.names, extended.fit.estimate, strict=True))
     shared = np.array([fitted[name] for name in stages[-1].dynamics.names])
     # A model with something missing may have several optima; what it misses is not confined to the stall.
-    fit = fit_cascade(stages, [start, shared], held=held, prior_weight=inflation)
+    fit = output_error.fit_cascade(stages, [start, shared], held=held, prior_weight=inflation)
     return CandidateFit("card", fit, held=held, weighed=False)
 
 
@@ -664,7 +641,9 @@ def _side(flights: Flights, biases: Mapping[str, Prior] | None, model: Model, va
     outputs = tuple(n for n in dynamics.outputs if n in flights.channels and n not in LEFT)
     half = 0.5 * flights.lengths[0] * float(flights.channels["dt"][0]) if len(flights.lengths) == 1 else None
     finer = dynamics.substeps(start, flights)
-    return [segments(flights, dynamics, outputs=outputs, window=w, substeps=finer) for w in (WINDOW, half)], start
+    return [
+        segments(flights, dynamics, outputs=outputs, window=w, substeps=finer) for w in (result.WINDOW, half)
+    ], start
 
 
 def _extended(whole: Model, effects: Sequence) -> Model:
@@ -686,9 +665,9 @@ def fit_trajectories(
     *,
     starts: Sequence[Vector] = (),
     tolerances: Mapping[str, float] = MappingProxyType({}),
-    setting: Setting = Setting(),
+    setting: result.Setting = result.Setting(),
     progress: Progress | None = None,
-) -> TrajectoryFit:
+) -> result.TrajectoryFit:
     """Fit windows from the parameters' own start and every one of `starts`, then whole manoeuvres.
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
     by the one and its samples by the other."""
@@ -709,33 +688,33 @@ def fit_trajectories(
     stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
     tell("windows, then whole manoeuvres", 0.0)
     without = () if setting.priors else unbiased(dynamics).names
-    fit = fit_cascade(stages, [first, *starts], prior_weight=FIRST_INFLATION, without=without)
+    fit = output_error.fit_cascade(stages, [first, *starts], prior_weight=FIRST_INFLATION, without=without)
     if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
         again = {"departure": fit.departure, "prior_weight": FIRST_INFLATION, "without": without}
-        fit = fit_output_error(whole, start=fit.estimate, **again)
+        fit = output_error.fit_output_error(whole, start=fit.estimate, **again)
     inflation, noise_growth = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("autocorrelation of the residuals", 0.7)
         noise = FlightNoise.of(fit)
         inflation, noise_growth = noise.variance_inflation, noise.growth_by_output(whole.outputs)
         whole, weight = noise.on(whole), inflation if setting.priors else 0.0
-        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
+        fit = output_error.fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
     tell("errors of the trajectories", 0.9)
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
-        paths = simulated(first, whole, START, START, np.zeros_like(fit.departure), tolerances)
-        paths += simulated(fit.estimate, whole, FITTED, FITTED, fit.departure, tolerances)
-    begins = zip(dynamics.start, map(float, initial_state_sd(dynamics)), strict=True)
+        paths = simulated(first, whole, result.START, result.START, np.zeros_like(fit.departure), tolerances)
+        paths += simulated(fit.estimate, whole, result.FITTED, result.FITTED, fit.departure, tolerances)
+    begins = zip(dynamics.start, map(float, output_error.initial_state_sd(dynamics)), strict=True)
     prior_sd = dict(begins) if setting.priors and setting.initial is None else {}
-    return TrajectoryFit(
+    return result.TrajectoryFit(
         fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), noise_growth, setting,
         by_effects=by_effects, of_path=isinstance(dynamics, PathDynamics), departure_sd=prior_sd,
     )  # fmt: skip
 
 
-def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:
+def _initial(fit: output_error.OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:
     wide, theta, initial = replace(fit.flown, outputs=shown), jnp.asarray(fit.estimate), {}
     for row, away in enumerate(fit.departure):  # one by one as the paths, for which it is compiled already
-        begin = trajectories(wide.part([row]), theta, jnp.asarray(away[None])).begin
+        begin = output_error.trajectories(wide.part([row]), theta, jnp.asarray(away[None])).begin
         pairs = zip(map(float, np.asarray(begin)[0]), map(float, away), strict=True)
         initial[label(fit.flown, row)] = dict(zip(fit.flown.dynamics.start, pairs, strict=True))
     return initial
@@ -748,14 +727,16 @@ def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[s
 
 
 def with_tested(
-    diagnosis: Diagnosis, flown: Trajectories | None, records: Sequence[FlightRecord], card: Card
-) -> Diagnosis:
+    diagnosis: result.Diagnosis, flown: result.Trajectories | None, records: Sequence[FlightRecord], card: Card
+) -> result.Diagnosis:
     """The diagnosis by trajectories, judged on hold-out flights; `flown` is its extended model, None if not flown."""
-    tested = Tested({} if flown is None else beyond_noise(flown, records, card))
+    tested = result.Tested({} if flown is None else beyond_noise(flown, records, card))
     return diagnosis.judged(tested=tested)
 
 
-def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Card) -> dict[str, OutputMiss]:
+def beyond_noise(
+    flown: result.Trajectories, records: Sequence[FlightRecord], card: Card
+) -> dict[str, result.OutputMiss]:
     """What the extended model misses of every fitted output (root mean squares, SI), and the noise that is allowed."""
     noises, lengths = [sensor_noise(channels_of(record, card), card)[0] for record in records], [r.n for r in records]
 
@@ -767,7 +748,7 @@ def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Car
     misses = {}
     for name in flown.fitted:
         noise = float(np.sqrt(np.average([n.get(name, 0.0) ** 2 for n in noises], weights=lengths)))
-        misses[name] = OutputMiss(noise, rms(name, "fitted"), rms(name, "hold_out"))
+        misses[name] = result.OutputMiss(noise, rms(name, "fitted"), rms(name, "hold_out"))
     return misses
 
 
@@ -776,13 +757,13 @@ def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Car
 WORTH = 0.03  # of an estimate, a difference that matters to a simulation; our choice
 
 
-def still_apart(disagreements: Sequence[Disagreement], fit: ProcessNoise | None) -> tuple[str, ...]:
+def still_apart(disagreements: Sequence[result.Disagreement], fit: result.ProcessNoise | None) -> tuple[str, ...]:
     """Parameters of `disagreements` of which the fit with process noise disagrees with the coefficients as well."""
     other = {} if fit is None else fit.estimates
     return tuple(d.name for d in disagreements if d.name in other and not _agree(d.coefficients, other[d.name]))
 
 
-def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Disagreement, ...]:
+def fit_disagreements(coefficients: MleResult, flown: result.TrajectoryFit) -> tuple[result.Disagreement, ...]:
     """Parameters, none at a bound, about which the fits differ beyond chance and by more than `WORTH`."""
     if coefficients.status not in (MleStatus.CONVERGED, MleStatus.AT_BOUND) or not flown.converged:
         return ()
@@ -796,7 +777,7 @@ def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Di
             both = float(np.hypot(sd, other[1]))
             if np.isfinite(both) and both > 0.0 and not _agree(other, (x, sd)):
                 apart = abs(x - other[0]) / both
-                disagreements.append(Disagreement(parameter.name, parameter.unit, other, (x, sd), apart))
+                disagreements.append(result.Disagreement(parameter.name, parameter.unit, other, (x, sd), apart))
     return tuple(sorted(disagreements, key=lambda d: -d.apart))
 
 
@@ -831,7 +812,9 @@ def steady_of(flights: Flights) -> Steady:
     return Steady(begin("airspeed", 1.0), altitude, begin("alpha", 0.0))
 
 
-def flown_modes(fit: OutputErrorResult, steady: Steady, filtered: ProcessNoise | None = None) -> tuple[FlownMode, ...]:
+def flown_modes(
+    fit: output_error.OutputErrorResult, steady: Steady, filtered: result.ProcessNoise | None = None
+) -> tuple[result.FlownMode, ...]:
     """The modes of a model whose fit converged, about `steady` flight; with the estimates of `filtered` in place of
     those of `fit`. Raises `InputError` where there is no such flight, or the model has no motion of its own."""
     dynamics, aircraft = unbiased(fit.flown.dynamics), fit.flown.flights.aircraft
@@ -864,7 +847,7 @@ def flown_modes(fit: OutputErrorResult, steady: Steady, filtered: ProcessNoise |
     )
 
 
-def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 2"]) -> FlownMode:
+def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 2"]) -> result.FlownMode:
     """A mode of this eigenvalue (1/s) whose real and imaginary part have this covariance (2, 2)."""
 
     def root(variance: float) -> float:
@@ -889,11 +872,11 @@ def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 
         if w == 0.0 and s < 0.0:
             quantities["time_constant"] = with_error(-1.0 / s, (1.0 / s**2, 0.0))
         side = "half" if s < 0.0 else "double"
-        quantities[f"time_to_{side}"] = with_error(HALF / abs(s), (-math.copysign(HALF, s) / s**2, 0.0))
-    return FlownMode(name, eigenvalue, (sd_real, sd_imaginary), quantities)
+        quantities[f"time_to_{side}"] = with_error(result.HALF / abs(s), (-math.copysign(result.HALF, s) / s**2, 0.0))
+    return result.FlownMode(name, eigenvalue, (sd_real, sd_imaginary), quantities)
 
 
-def motion_of(flown: TrajectoryFit, beside: ProcessNoise | None = None) -> Motion | None:
+def motion_of(flown: result.TrajectoryFit, beside: result.ProcessNoise | None = None) -> result.Motion | None:
     """Modes with standard errors; None without a model of the aircraft, and where the fit did not converge."""
     if flown.of_path or not flown.converged:
         return None
@@ -904,4 +887,4 @@ def motion_of(flown: TrajectoryFit, beside: ProcessNoise | None = None) -> Motio
     except InputError as reason:
         why_not = str(reason)
     about = (steady.airspeed, steady.altitude) if flown.by_effects else (math.nan, math.nan)  # of linear cards
-    return Motion(*about, found, why_not, filtered is not None)
+    return result.Motion(*about, found, why_not, filtered is not None)

@@ -140,7 +140,6 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
 
 
 def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
-    """The columns of a coefficient's constants, in the order of the manoeuvres."""
     width, number = len(state.responses.flights.lengths), state.apart.index(name)
     first = len(state.offsets) - width * (len(state.apart) - number)
     return state.offsets[first : first + width]
@@ -360,7 +359,6 @@ def leader(
 
 
 def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.ndarray, " j"]:
-    """Posterior probabilities of terms, of which each factor halves the prior one."""
     log = -lost - np.log(2.0) * np.array(costs)
     weights = np.exp(log - log.max())
     return weights / weights.sum()
@@ -704,7 +702,6 @@ def _beside(
 
 
 def _curved(model: _Model, curves: Sequence[Component]) -> _Model:
-    """With each function that earns its cost."""
     for curve in curves:
         wider = replace(model, functions=(*model.functions, curve))
         model = wider if wider.beyond(model) > 0.0 else model
