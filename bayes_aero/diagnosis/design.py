@@ -127,11 +127,7 @@ def variants_of(state: SelectionState, effects: Sequence[str], envelope: Envelop
 
 
 def possible_points(
-    state: SelectionState,
-    variants: Sequence[Standard],
-    chosen: Sequence[Effect],
-    noise: ResidualNoise,
-    envelope: Envelope,
+    state: SelectionState, variants: list[Standard], chosen: Sequence[Effect], noise: ResidualNoise, envelope: Envelope
 ) -> list[Variant]:
     """Every manoeuvre that may be proposed, and its information on the model and the `chosen` candidates."""
     possible = []
@@ -367,11 +363,7 @@ def narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
 
 
 def on_record(
-    state: SelectionState,
-    chosen: Sequence[Effect],
-    noise: ResidualNoise,
-    flown: Standard | None = None,
-    name: str = "",
+    state: SelectionState, chosen: Sequence[Effect], noise: ResidualNoise, flown: Standard | None = None, name: str = ""
 ) -> SelectionState:
     """The problem of `state` on its records, or on one manoeuvre of `flown`, with `chosen` effects as candidates."""
     flights_of(state)

@@ -35,6 +35,12 @@ from bayes_aero.inference.covariance import (
     variance_inflation,
 )
 
+Vector = Float[np.ndarray, " k"]
+Square = Float[np.ndarray, "k k"]
+Rows = Float[np.ndarray, "m c"]
+Columns = Int[np.ndarray, " k"]
+Marks = Int[np.ndarray, " m"]
+
 # --- The colour of residuals: an autoregression per output, the uncertainty it leaves, and noise records made from it.
 
 TOGETHER = 10  # colours that columns are filtered for at a time: of more, fresh memory takes longer than arithmetic
@@ -59,9 +65,7 @@ class Autocorrelation:
             out[:, fold] = np.moveaxis(noise[: fold.stop - fold.start, k], 0, 1)
         return out
 
-    def meat(
-        self, S: Float[np.ndarray, "m c k"], variance: Float[np.ndarray, " c"], folds: Sequence[slice]
-    ) -> Float[np.ndarray, "k k"]:
+    def meat(self, S: Float[np.ndarray, "m c k"], variance: Float[np.ndarray, " c"], folds: Sequence[slice]) -> Square:
         """sum_ij S_i' R^-1 Rvv(i-j) R^-1 S_j under this colour: the middle of the corrected covariance."""
         # S filtered backwards by the autoregression gives it as a plain product. Source: as `inference.covariance`.
         return Middle(S, variance, folds, [np.arange(S.shape[2])]).under_each([self], [0])[1][0][0]
@@ -137,7 +141,7 @@ class Middle:
         return diagonal, whole
 
 
-def autocorrelation_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Autocorrelation:
+def autocorrelation_of(residual: Rows, folds: Sequence[slice]) -> Autocorrelation:
     """Least-squares autoregression of each output's residual within folds, its roots kept inside `MAX_ROOT`."""
     return autocorrelations_of(residual[None], folds)[0]
 
@@ -185,7 +189,7 @@ class PartialledRegression:
     def right(self, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r w"]:
         return np.tensordot(residual * self.weight, self.P, 2)
 
-    def estimates(self, residual: Float[np.ndarray, "m c"]) -> list[np.ndarray]:
+    def estimates(self, residual: Rows) -> list[np.ndarray]:
         right = self.right(residual)
         return [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
 
@@ -195,7 +199,7 @@ class PartialledRegression:
         return np.array([np.einsum("ri,ij,rj->r", right[:, p], B, right[:, p], optimize=True) for p, B in pairs])
 
     def scores(
-        self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation, stretch: Int[np.ndarray, " m"]
+        self, residual: Rows, colour: Autocorrelation, stretch: Marks
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Estimates and covariances, by colour, or by how far stretches disagree where that is less sure."""
         whole, estimates = self.middle.under_each([colour], range(len(self.place)))[1], self.estimates(residual)
@@ -209,7 +213,7 @@ class PartialledRegression:
                     covariances[j] = between
         return estimates, covariances
 
-    def deviance(self, residual: Float[np.ndarray, "m c"], block: int = 0, estimate: np.ndarray | None = None) -> float:
+    def deviance(self, residual: Rows, block: int = 0, estimate: np.ndarray | None = None) -> float:
         """n log det of the whole covariance of what a block leaves at its first-order estimate."""
         # It stays the same when an output is exchanged for its sum with a share of another; the product of the
         # variances does not.
@@ -234,12 +238,7 @@ class PartialledRegression:
         return best
 
     def apart(
-        self,
-        residual: Float[np.ndarray, "m c"],
-        estimates: Sequence[np.ndarray],
-        own: int,
-        colour: Autocorrelation,
-        blocks: Int[np.ndarray, " m"],
+        self, residual: Rows, estimates: Sequence[np.ndarray], own: int, colour: Autocorrelation, blocks: Marks
     ) -> Float[np.ndarray, " j"]:
         """Variance inflation along the difference of what each block and block `own` explain (1 for `own`)."""
         pairs = zip(self.place, estimates, strict=True)
@@ -253,7 +252,7 @@ def inflation_along(
     weight: Float[np.ndarray, " c"],
     folds: Sequence[slice],
     colour: Autocorrelation,
-    left_in_blocks: tuple[Float[np.ndarray, "m c"], Int[np.ndarray, " m"]] | None = None,
+    left_in_blocks: tuple[Rows, Marks] | None = None,
 ) -> Float[np.ndarray, " j"]:
     """Variance inflation along j directions: by colour, or by how far blocks of what is left disagree where more."""
     variance = Middle(D, 1.0 / weight, folds, []).under_each([colour], [])[0][0]
@@ -285,7 +284,7 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
 # --- Noise of coefficients that grows as the flow separates.
 
 
-def noise_growth_of(state: SelectionState) -> Float[np.ndarray, "m c"]:
+def noise_growth_of(state: SelectionState) -> Rows:
     """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0; flight-path outputs have none."""
     growth, own = np.ones_like(state.residual), state.responses.model.coefficients
     coefficients = [c for c, name in enumerate(state.outputs) if name in own]
@@ -354,12 +353,7 @@ class ScreeningResult:
 
 
 def screen(
-    state: SelectionState,
-    *,
-    seed: int = 0,
-    nulls: bool = False,
-    without: str | None = None,
-    noise: SharedNoise | None = None,
+    state: SelectionState, *, nulls: bool = False, without: str | None = None, noise: SharedNoise | None = None
 ) -> ScreeningResult:
     """Fit every candidate beside all active parameters; draw noise-only replicates (`nulls`) under the present model.
     `without` takes one addition out first: it is then a candidate, and the others are told `apart` from it."""
@@ -369,7 +363,7 @@ def screen(
     if not blocks:
         return ScreeningResult((), colour, np.zeros(0))
     projected = PartialledRegression(state, fit, [b[1] for b in blocks])
-    noise = SharedNoise(seed, state.folds, residual.shape[1], state.settings) if noise is None else noise
+    noise = SharedNoise(0, state.folds, residual.shape[1], state.settings) if noise is None else noise
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = noise_records(state, fit, colour, noise.correction)
     colour = unbiased(colour, autocorrelations_of(drawn, state.folds))
@@ -449,16 +443,14 @@ def log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, pr
     return float(log_normal(estimate - mean, wide) - log_normal(estimate, covariance))
 
 
-def uncertainty(state: SelectionState, colour: Autocorrelation | None = None) -> Float[np.ndarray, "k k"]:
+def uncertainty(state: SelectionState, colour: Autocorrelation | None = None) -> Square:
     """Covariance of the active columns' estimates that coloured residuals leave (default colour: that of the fit)."""
     fit, colour = state.best, colour or autocorrelation_of(state.left(), state.folds)
     bread = inverse(fit.normal)
     return bread @ colour.meat(state.scaled[:, :, fit.columns], fit.variance, state.folds) @ bread
 
 
-def block_jackknife_covariance(
-    state: SelectionState, fit: RegressionFit
-) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+def block_jackknife_covariance(state: SelectionState, fit: RegressionFit) -> tuple[Columns, Square]:
     """Active columns but those with which windows begin, and the covariance of their estimates by the jackknife."""
     columns, weight = fit.columns[~np.isin(fit.columns, state.begins)], 1.0 / fit.variance
     left, blocks, parts = state.left(fit), state.responses.parts, []
@@ -471,7 +463,7 @@ def block_jackknife_covariance(
     return columns, jackknife_covariance(np.array([inverse(whole - N) @ right for N, right in parts]))
 
 
-def jackknife_errors(state: SelectionState, blocks: Int[np.ndarray, " m"]) -> Float[np.ndarray, " k"]:
+def jackknife_errors(state: SelectionState, blocks: Marks) -> Vector:
     """Least standard error of each of the active columns, by the jackknife; zero where all is one block."""
     errors = np.zeros(len(state.best.columns))
     if blocks.max():
@@ -480,9 +472,7 @@ def jackknife_errors(state: SelectionState, blocks: Int[np.ndarray, " m"]) -> Fl
     return errors
 
 
-def jackknife_p_value(
-    state: SelectionState, fit: RegressionFit, columns: Int[np.ndarray, " k"], size: Float[np.ndarray, " k"], among: int
-) -> float:
+def jackknife_p_value(state: SelectionState, fit: RegressionFit, columns: Columns, size: Vector, among: int) -> float:
     """p-value of an addition of this `size` by how far it moves without each part, Bonferroni over `among`."""
     own, covariance = block_jackknife_covariance(state, fit)
     at = [int(np.flatnonzero(own == c)[0]) for c in columns]

@@ -25,6 +25,12 @@ from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.residuals.base import ResidualModel
 from bayes_aero.units import number
 
+Vector = Float[np.ndarray, " k"]
+Square = Float[np.ndarray, "k k"]
+Rows = Float[np.ndarray, "m c"]
+Columns = Int[np.ndarray, " k"]
+Marks = Int[np.ndarray, " m"]
+
 # --- Every threshold of a diagnosis, each with its reason. What is called our choice has no other.
 
 ENOUGH = 3.0  # deviations by which effects must differ for a manoeuvre to separate them
@@ -138,26 +144,24 @@ class CandidateModel:
         return {p.name: finite(p.neutral) for p in self.model.parameters}
 
     @property
-    def neutral_vector(self) -> Float[np.ndarray, " k"]:
+    def neutral_vector(self) -> Vector:
         return self.vector({})
 
-    def vector(self, values: Mapping[str, float]) -> Float[np.ndarray, " k"]:
+    def vector(self, values: Mapping[str, float]) -> Vector:
         """Every free parameter at its value, or at neutral where it has none."""
         everything = self.neutral | dict(values)
         return np.array([everything[name] for name in self.model.names], float)
 
-    def at_neutral(self, theta: Float[np.ndarray, " k"], effects: Sequence[str]) -> Float[np.ndarray, " k"]:
+    def at_neutral(self, theta: Vector, effects: Sequence[str]) -> Vector:
         """`theta` with the free parameters of these effects at neutral."""
         names = {p for effect in effects for p in self.parameters_of(effect)}
         return np.where([name in names for name in self.model.names], self.neutral_vector, theta)
 
-    def card_only(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    def card_only(self, theta: Vector) -> Vector:
         """`theta` with every effect at neutral that is not on the card."""
         return self.at_neutral(theta, [e.name for e in self.model.effects if e.name not in self.base])
 
-    def prior(
-        self, index: Sequence[int] | Int[np.ndarray, " j"], theta: Float[np.ndarray, " k"]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def prior(self, index: Sequence[int] | Int[np.ndarray, " j"], theta: Vector) -> tuple[np.ndarray, np.ndarray]:
         """Mean and precision of the step from `theta` for parameters `index`, their priors taken as normal."""
         free = self.model.free
         pairs = [self.priors.get(free[i].name, free[i].prior).normal for i in index]
@@ -290,14 +294,12 @@ def too_short(seconds: float, settings: DiagnosisSettings = DEFAULT) -> str:
     )
 
 
-def manoeuvres(manoeuvre: Int[np.ndarray, " m"]) -> tuple[slice, ...]:
+def manoeuvres(manoeuvre: Marks) -> tuple[slice, ...]:
     edges = np.flatnonzero(np.diff(manoeuvre, prepend=-1, append=-1))
     return tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
 
 
-def folds_of(
-    manoeuvre: Int[np.ndarray, " m"], seconds: float, settings: DiagnosisSettings = DEFAULT
-) -> tuple[slice, ...]:
+def folds_of(manoeuvre: Marks, seconds: float, settings: DiagnosisSettings = DEFAULT) -> tuple[slice, ...]:
     """Manoeuvres as folds, or contiguous parts of a single one with a gap between them."""
     if manoeuvre[-1] > 0:
         return manoeuvres(manoeuvre)
@@ -320,9 +322,9 @@ ROUNDS = 5  # alternations between parameters and variances
 class RegressionFit:
     """k active columns, c outputs: the step from the linearisation point and the outputs' variances."""
 
-    columns: Int[np.ndarray, " k"]
-    step: Float[np.ndarray, " k"]
-    normal: Float[np.ndarray, "k k"]
+    columns: Columns
+    step: Vector
+    normal: Square
     variance: Float[np.ndarray, " c"]
     deviance: float  # sum over outputs of n log(variance), plus the prior's quadratic form
 
@@ -338,7 +340,7 @@ class Products:
     count: Int[np.ndarray, " f"]
 
     @classmethod
-    def of(cls, residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"], folds: Sequence[slice]) -> Products:
+    def of(cls, residual: Rows, S: Float[np.ndarray, "m c k"], folds: Sequence[slice]) -> Products:
         """Each fold is a contiguous stretch of blocks."""
         data = np.moveaxis(np.concatenate([residual[:, :, None], S], axis=2), 1, 0)
         gram = np.stack([data[:, fold].transpose(0, 2, 1) @ data[:, fold] for fold in folds])
@@ -351,7 +353,7 @@ class Products:
     def without(self, fold: int) -> Products:
         return self.over([f for f in range(len(self.count)) if f != fold])
 
-    def only(self, columns: Int[np.ndarray, " k"]) -> Products:
+    def only(self, columns: Columns) -> Products:
         """These columns alone, numbered anew in their order."""
         at = np.append(0, np.asarray(columns) + 1)
         return Products(self.gram[:, :, at[:, None], at[None, :]], self.count)
@@ -360,7 +362,7 @@ class Products:
     def total(self) -> Float[np.ndarray, "c k k"]:
         return self.gram.sum(axis=0)
 
-    def shifted(self, columns: Int[np.ndarray, " k"], by: Float[np.ndarray, " k"]) -> Products:
+    def shifted(self, columns: Columns, by: Vector) -> Products:
         """The same after a step `by` in `columns`: the residual becomes residual - S by."""
         gram, at = self.gram.copy(), np.asarray(columns) + 1
         gram[..., 0, :] -= np.einsum("fckl,k->fcl", gram[..., at, :], by)
@@ -416,11 +418,7 @@ class Products:
         return step, normal, variance, deviance
 
     def fit(
-        self,
-        columns: Int[np.ndarray, " k"],
-        mean: np.ndarray,
-        precision: np.ndarray,
-        held: Float[np.ndarray, " c"] | None = None,
+        self, columns: Columns, mean: np.ndarray, precision: np.ndarray, held: Float[np.ndarray, " c"] | None = None
     ) -> RegressionFit:
         step, normal, variance, deviance = self.fit_many(columns[None], mean, precision, held)
         return RegressionFit(columns, step[0], normal[0], variance[0], float(deviance[0]))
@@ -440,7 +438,7 @@ ROUNDING = 1e-14  # of a sum of squares, of what is left of it
 RIDGE = 1e-11  # relative to the information's unit diagonal: keeps collinear columns finite, far below any noise
 
 
-def inverse(matrix: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+def inverse(matrix: Square) -> Square:
     """Inverse of a symmetric positive matrix whose scales differ by many orders."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), NOTHING))
     return np.linalg.inv(matrix * np.outer(scale, scale) + RIDGE * np.eye(len(matrix))) * np.outer(scale, scale)
@@ -484,10 +482,10 @@ class SelectionState:
     full: CandidateModel
     responses: ResidualModel
     outputs: tuple[str, ...]
-    theta: Float[np.ndarray, " k"]
-    residual: Float[np.ndarray, "m c"]
+    theta: Vector
+    residual: Rows
     S: Float[np.ndarray, "m c K"]
-    noise_growth: Float[np.ndarray, "m c"]
+    noise_growth: Rows
     folds: tuple[slice, ...]
     products: Products
     mean: Float[np.ndarray, " K"]
@@ -518,7 +516,7 @@ class SelectionState:
         return [self.responses.outputs.index(name) for name in self.outputs]
 
     @property
-    def departure(self) -> Float[np.ndarray, " k"]:
+    def departure(self) -> Vector:
         """How far each parameter is from neutral, to first order (see `departure`)."""
         away = [departure(x, p.neutral) for x, p in zip(self.theta, self.full.model.free, strict=True)]
         return np.where(self.theta == self.full.neutral_vector, 0.0, away)
@@ -568,10 +566,10 @@ class SelectionState:
         chosen = begin + np.arange(sum(c.basis.shape[2] for c in self.chosen))
         return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets, chosen])
 
-    def wider(self, columns: Sequence[int] | np.ndarray) -> Int[np.ndarray, " k"]:
+    def wider(self, columns: Sequence[int] | np.ndarray) -> Columns:
         return np.concatenate([self.columns(), np.array(columns, int)])
 
-    def fit(self, columns: Int[np.ndarray, " k"] | None = None, held: np.ndarray | None = None) -> RegressionFit:
+    def fit(self, columns: Columns | None = None, held: np.ndarray | None = None) -> RegressionFit:
         """Regression on all folds with these columns (default: the active ones); with variances it finds, or `held`."""
         return self.products.fit(self.columns() if columns is None else columns, self.mean, self.precision, held)
 
@@ -579,7 +577,7 @@ class SelectionState:
     def best(self) -> RegressionFit:
         return self.fit()
 
-    def left(self, fit: RegressionFit | None = None) -> Float[np.ndarray, "m c"]:
+    def left(self, fit: RegressionFit | None = None) -> Rows:
         """Residuals that a fit (default: the best) leaves, divided by the noise_growth."""
         fit = self.best if fit is None else fit
         return (self.residual - self.S[:, :, fit.columns] @ fit.step) / self.noise_growth
@@ -604,7 +602,7 @@ class SelectionState:
         size = float(np.median(np.std(self.residual / self.noise_growth, axis=0)))
         return np.zeros(count), np.full(count, self.variance_inflation / (10 * size) ** 2)
 
-    def share_of(self, own: Int[np.ndarray, " k"]) -> float:
+    def share_of(self, own: Columns) -> float:
         """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""
         return float(np.max(1.0 - self.fit(self.wider(own)).variance / self.best.variance))
 
@@ -629,7 +627,7 @@ def linearised(
     full: CandidateModel,
     responses: ResidualModel,
     outputs: tuple[str, ...],
-    theta: Float[np.ndarray, " k"],
+    theta: Vector,
     active: tuple[str, ...] = (),
     apart: tuple[str, ...] = (),
     like: SelectionState | None = None,
@@ -673,7 +671,7 @@ def linearised(
     )  # fmt: skip
 
 
-def _flat(constants: Float[np.ndarray, "m c o"], residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, " o"]:
+def _flat(constants: Float[np.ndarray, "m c o"], residual: Rows) -> Float[np.ndarray, " o"]:
     """Precision of constants that move the outputs by `WIDE` times the deviation of their residuals."""
     rows = np.maximum(np.any(constants != 0.0, axis=1).sum(axis=0), 1)
     by_one = np.sum(constants**2, axis=0) / rows / np.maximum(np.var(residual, axis=0), TINY)[:, None]
@@ -682,7 +680,7 @@ def _flat(constants: Float[np.ndarray, "m c o"], residual: Float[np.ndarray, "m 
 
 
 def constants_of_manoeuvres(
-    full: CandidateModel, manoeuvre: Int[np.ndarray, " m"], outputs: Sequence[str], S: np.ndarray, name: str
+    full: CandidateModel, manoeuvre: Marks, outputs: Sequence[str], S: np.ndarray, name: str
 ) -> Float[np.ndarray, "m c o"]:
     """Sensitivity to a coefficient's constant in every manoeuvre: of itself, or of flown outputs to the model's one."""
     if name in outputs:
@@ -693,10 +691,7 @@ def constants_of_manoeuvres(
 
 
 def moved(
-    state: SelectionState,
-    theta: Float[np.ndarray, " k"],
-    active: tuple[str, ...] | None = None,
-    apart: tuple[str, ...] | None = None,
+    state: SelectionState, theta: Vector, active: tuple[str, ...] | None = None, apart: tuple[str, ...] | None = None
 ) -> SelectionState:
     """The state at other parameters, with other effects in or coefficients `apart`, with the same noise growth."""
     active, apart = state.active if active is None else active, state.apart if apart is None else apart
@@ -713,17 +708,17 @@ def refitted(state: SelectionState) -> SelectionState:
     return moved(state, optimum(state, range(len(state.folds))))
 
 
-def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> Float[np.ndarray, " k"]:
+def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> Vector:
     """Gauss-Newton on all active parameters, fitted to the chosen folds, each step kept inside the bounds."""
     bounds, columns = np.array([p.bounds for p in state.full.model.free]), state.columns()
     at, none = columns[columns < len(state.theta)], np.arange(0)
 
-    def stepped(share: float) -> Float[np.ndarray, " k"]:
+    def stepped(share: float) -> Vector:
         after = theta.copy()
         after[at] = np.clip(theta[at] + share * fit.step[: len(at)], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
         return after
 
-    def deviance_at(theta: Float[np.ndarray, " k"]) -> float:
+    def deviance_at(theta: Vector) -> float:
         """The deviance of `local_fit` without its regression, from the residuals alone."""
         mean, precision = state.full.prior(at, theta)
         linear = state.responses.residuals(theta, state.outputs), state.S[:, :, none]
@@ -753,11 +748,11 @@ def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> 
 
 def local_fit(
     state: SelectionState,
-    theta: Float[np.ndarray, " k"],
+    theta: Vector,
     at: Int[np.ndarray, " a"],
     folds: Sequence[int],
     held: Float[np.ndarray, " c"] | None = None,
-    linear: tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c a"]] | None = None,
+    linear: tuple[Rows, Float[np.ndarray, "m c a"]] | None = None,
 ) -> tuple[RegressionFit, float]:
     """Regression on the columns `at` at `theta`, and the deviance there; `linear`: residuals and slopes, if known."""
     if linear is None:

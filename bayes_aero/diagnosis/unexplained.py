@@ -188,7 +188,9 @@ def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) ->
         batches, leaders = in_batches(state, components, folds), list[tuple[float, Component]]()
         for batch in batches:
             trials, by_label = state.with_components(batch, chosen, folds), {c.label: c for c in batch}
-            scores = screen(trials, seed=seed).candidate_scores[:tried]
+            scores = screen(
+                trials, noise=SharedNoise(seed, trials.folds, len(trials.outputs), trials.settings)
+            ).candidate_scores[:tried]
             leaders += [(standing.score, by_label[standing.effect]) for standing in scores]
         for _, component in sorted(leaders, key=lambda leader: -leader[0])[:tried]:
             trial = Trial(state, component, chosen, folds)
