@@ -450,10 +450,8 @@ def sought_change(
     if not enough or _by_noise(trial, scan, at, unit):
         return None
     # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
-    noise, colour = (
-        screening.SharedNoise(seed, folds, len(state.outputs), settings),
-        screening.autocorrelation_of(trial.left, folds),
-    )
+    noise = screening.SharedNoise(seed, folds, len(state.outputs), settings)
+    colour = screening.autocorrelation_of(trial.left, folds)
     again = [scan.without_leader(x) for x in screening.noise_records(whole, held, colour, noise.correction)]
     colour = screening.unbiased(colour, screening.autocorrelations_of(np.array(again), folds))
     nulls = [scan.statistic(x) for x in screening.noise_records(whole, held, colour, noise.replicates)]

@@ -72,6 +72,7 @@ from bayes_aero.diagnosis.selection_state import (
     by_manoeuvre,
     inverse,
     moved,
+    quiet,
     refitted,
 )
 from bayes_aero.effect import Effect, Kind
@@ -109,14 +110,14 @@ def diagnose(
     card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
     gusts = in_gusts(records, card, seed) if settings.process_noise is None else {}
     candidates = (*own_effects(card.effect_files).values(), *extra)
-    search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress)
+    search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress or quiet)
     result = search.made(by_innovations=bool(settings.process_noise or gusts))
     stages, state = result.stages, result.model.state
     kept_of, failed = {stage: extension.state.active for stage, extension in stages.items()}, ()
     if settings.gains and result.testable_now:
-        candidates, kept_of, failed = _confirmed(result, progress)
+        candidates, kept_of, failed = _confirmed(result, progress or quiet)
     else:
-        candidates = causes_of(result, {}, None)
+        candidates = causes_of(result, {}, quiet)
     # Offsets between manoeuvres are in the model beside the causes.
     hardly = stand_ins(candidates, stages, [structure for structure in result.unknown if not structure.offsets])
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
@@ -131,7 +132,6 @@ def diagnose(
         minor=(*(result.sensors.minor if result.sensors else ()), *result.model.minor, *(c.name for c in unnamed)),
         unknown=unknown,
         aerodynamics=result.model,
-        theta=state.theta,
         split=split_name(state),
         base_moves=moves_of(result.model),
         kept=kept,
@@ -150,7 +150,7 @@ def diagnose(
 Kept = Mapping[str, tuple[str, ...]]  # by stage, additions that hold-out data confirm
 
 
-def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Cause], Kept, tuple[str, ...]]:
+def _confirmed(result: SearchResult, progress: Progress) -> tuple[list[Cause], Kept, tuple[str, ...]]:
     """Causes with what unseen data say of them, the additions of every stage that these confirm, and failures."""
 
     def tested() -> tuple[list[Cause], Kept]:
@@ -167,7 +167,7 @@ def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Ca
     causes, failures = attempted("No cause was tested on hold-out data", tested, None)
     if causes is not None:
         return (*causes, failures)
-    untested = [replace(cause, confirmed=False) for cause in causes_of(result, {}, None)]
+    untested = [replace(cause, confirmed=False) for cause in causes_of(result, {}, quiet)]
     return untested, dict.fromkeys(result.stages, ()), failures
 
 
@@ -179,9 +179,7 @@ def without_conditional(
     return tuple(c for c in causes if c not in joint), (*beyond, *joint)
 
 
-def causes_of(
-    searched: SearchResult, confirmations: Mapping[str, Confirmation], progress: Progress | None
-) -> list[Cause]:
+def causes_of(searched: SearchResult, confirmations: Mapping[str, Confirmation], progress: Progress) -> list[Cause]:
     """Causes of every stage; of selections that were repeated without what is too large, that."""
     causes = list[Cause]()
     for stage, extension in searched.stages.items():
@@ -329,9 +327,7 @@ NOTHING = (float("nan"), float("nan"))
 NO_GAIN = Gain(*NOTHING, "not measured", {}, {})
 
 
-def gains_of(
-    extension: Extension, aerodynamics: Extension, kept: Sequence[str], progress: Progress | None
-) -> dict[str, Gain]:
+def gains_of(extension: Extension, aerodynamics: Extension, kept: Sequence[str], progress: Progress) -> dict[str, Gain]:
     """Gains of an extension's causes on left-out folds, each beside nuisances and the confirmed causes before it."""
     state, causes, name_of_split = extension.state, extension.causes, split_name(extension.state)
     nuisances = [name for name in extension.minor if name in kept]
@@ -341,8 +337,7 @@ def gains_of(
         base = before = left_out([])
         pairs, sure = {}, list[str]()
         for number, name in enumerate(causes):
-            if progress:
-                progress("gain on hold-out data", number / len(causes))
+            progress("gain on hold-out data", number / len(causes))
             pairs[name] = before, left_out([*sure, name])
             if name in kept:
                 before, sure = pairs[name][1], [*sure, name]

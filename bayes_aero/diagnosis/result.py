@@ -173,7 +173,6 @@ class Diagnosis:
     not_testable: Mapping[str, str]
     sensors: Any  # `selection.Extension` of each stage, the flight path's None where it has none
     aerodynamics: Any
-    theta: Float[np.ndarray, " k"]
     split: str
     base_moves: Mapping[str, tuple[float, float, float]]  # base parameter: before, after, deviation after
     kept: tuple[str, ...] = ()  # additions to the coefficients that unseen data confirm

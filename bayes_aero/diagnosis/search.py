@@ -15,6 +15,7 @@ from bayes_aero.diagnosis.components import has_chunks, offsets_left
 from bayes_aero.diagnosis.consistency import check_sensors, widened
 from bayes_aero.diagnosis.result import FLIGHT_PATH, FoundTerm, NoiseReport, ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening import lag1_within, screen
+from bayes_aero.diagnosis.selection_state import quiet
 from bayes_aero.diagnosis.unexplained import (
     Forms,
     Left,
@@ -112,7 +113,7 @@ class Search:
     extra: Sequence[Effect]
     settings: selection_state.DiagnosisSettings
     seed: int
-    progress: Progress | None = None
+    progress: Progress = quiet
 
     def made(self, *, by_innovations: bool) -> SearchResult:
         """By innovations, or by coefficients where the records have what these need, or by trajectories."""
@@ -171,8 +172,7 @@ class Search:
 
     def innovations(self) -> SearchResult:
         """What a filter does not foresee: a gust moves vane and accelerometers together, as no error of a sensor."""
-        if self.progress:
-            self.progress("process noise", 0.0)
+        self.progress("process noise", 0.0)
         flights, outliers = despiked(join(self.records, self.card, FLIGHT))
         base = aircraft_dynamics(self.model, flights)
         # A start is enough. Gusts move a flight away from its simulation by less the shorter that is.
@@ -190,8 +190,7 @@ class Search:
             steps: tuple[selection.SelectionStep, ...] = ()
             first: selection.Extension | None = None
             while True:
-                if self.progress:
-                    self.progress("process noise", 0.0)
+                self.progress("process noise", 0.0)
                 state, filtered = filtered_state(full, base, flights, fit.R, known, active, filtered)
                 state = selection_state.moved(state, state.theta, apart=apart)
                 room, seed = min(1, self.settings.max_effects - len(active)), self.seed + len(active)
@@ -276,13 +275,12 @@ def search_in_stages(
     theta: Float[np.ndarray, " k"],
     *,
     seed: int,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> tuple[selection.Extension | None, selection.Extension, tuple[str, ...]]:
     """The flight path first, where it was recorded; the coefficients with sensors corrected; then what these deny."""
 
     def coefficients(sensors: selection.Extension | None) -> selection.Extension:
-        if progress:
-            progress("coefficients", 0.0)
+        progress("coefficients", 0.0)
         begin = theta
         if sensors is not None:
             off = (*sensors.state.full.base, *selection.without_hold(sensors))
@@ -297,8 +295,7 @@ def search_in_stages(
     path = FlightPathError.of(responses.flights, responses.model)
     if not path.outputs:
         return None, coefficients(None), ()
-    if progress:
-        progress("sensors", 0.0)
+    progress("sensors", 0.0)
     sensors = check_sensors(full, path, theta, seed=seed)
     aerodynamics, denied = coefficients(sensors), list[str]()
     while (name := _denied(sensors, aerodynamics)) is not None:
@@ -428,21 +425,18 @@ def _with_lag(
     flights: Flights,
     dynamics: AircraftDynamics,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> selection.Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
     lag, base, settings = selection_state.lag_of(whole), extension.base, whole.settings
     if lag is None or not extension.state.active:
         return None
-    if progress:
-        progress("lag of the separation point", 0.0)
+    progress("lag of the separation point", 0.0)
     values = dict(zip(base.full.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
     state = selection_state.refitted(_first_state(whole, flights, dynamics, values, lag.name))
     screening = extension.steps[0].screening
-    gain, among = (
-        nats(base.best.deviance - state.best.deviance, base.variance_inflation),
-        len(screening.candidate_scores) + 1,
-    )
+    gain = nats(base.best.deviance - state.best.deviance, base.variance_inflation)
+    among = len(screening.candidate_scores) + 1
     chance = selection.between_p_value(state, lag.name, among)
     if not (gain > settings.decisive and chance <= settings.block_false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise

@@ -36,6 +36,7 @@ from bayes_aero.diagnosis.selection_state import (
     local_fit,
     moved,
     optimum,
+    quiet,
     refitted,
 )
 from bayes_aero.effect import Effect, Stage
@@ -109,7 +110,7 @@ def selected(
     *,
     seed: int = 0,
     most: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
     barred: Sequence[str] = (),
 ) -> Extension:
     """Add at most `most` effects (default: the settings') that are not `barred`; p-values are family-wise."""
@@ -123,8 +124,7 @@ def selected(
     for number in range(most + state.settings.candidates_tried):
         if len(state.active) - len(first.active) >= most:
             break
-        if progress:
-            progress("causes", len(state.active) / max(most, 1))
+        progress("causes", len(state.active) / max(most, 1))
         winner, standing_in = None, ("",)
         while standing_in:
             step = _election(state, seed + number, (*barred, *noisy), first=number == 0)
@@ -391,10 +391,8 @@ def _taken_up(extension: Extension, column: int) -> dict[str, Size]:
         """Of a candidate and its deviation, the parameter of `column` held where its prior has it."""
         columns, away = np.append(fewer, at), float(state.mean[column])
         given = columns, state.mean, state.precision, fit.variance
-        there, here = (
-            state.products.shifted(np.array([column]), np.array([away])).fit(*given),
-            state.products.fit(*given),
-        )
+        there = state.products.shifted(np.array([column]), np.array([away])).fit(*given)
+        here = state.products.fit(*given)
         slope = (there.step[-1] - here.step[-1]) / away if away else 0.0
         variance = inverse(there.normal)[-1, -1] + slope**2 / state.precision[column]
         return float(there.step[-1]), float(np.sqrt(state.variance_inflation * variance))

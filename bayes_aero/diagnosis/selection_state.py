@@ -31,6 +31,11 @@ Rows = Float[np.ndarray, "m c"]
 Columns = Int[np.ndarray, " k"]
 Marks = Int[np.ndarray, " m"]
 
+
+def quiet(_: str, __: float) -> None:
+    """Progress that is told to nobody."""
+
+
 # --- Every threshold of a diagnosis, each with its reason. What is called our choice has no other.
 
 ENOUGH = 3.0  # deviations by which effects must differ for a manoeuvre to separate them
@@ -375,7 +380,7 @@ class Products:
         mean: Float[np.ndarray, " K"],
         precision: Float[np.ndarray, " K"],
         held: Float[np.ndarray, " c"] | None = None,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, ...]:
         """Steps, information, variances and deviances of j sets of columns, each with the normal prior of its steps."""
         gram, n = self.total, float(self.count.sum())
         j, k = columns.shape
@@ -397,7 +402,7 @@ class Products:
             v = np.concatenate([np.ones((*step.shape[:2], 1)), -step], axis=2)
             return np.maximum((v[:, :, None, :] @ (part @ v[:, :, :, None]))[:, :, 0, 0] / n, least)
 
-        def settled(variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        def settled(variance: np.ndarray) -> tuple[np.ndarray, ...]:
             for _ in range(ROUNDS if held is None else 1):
                 step, normal = stepped(np.einsum("jc,jckl->jkl", 1.0 / variance, part))
                 variance = variance_of(step[:, None, :]) if held is None else variance
@@ -412,10 +417,8 @@ class Products:
         alone = [stepped(part[:, c] / begin[:, c, None, None])[0] for c in range(part.shape[1])]
         first, second = settled(begin), settled(variance_of(np.stack(alone, axis=1)))
         better = second[3] < first[3]
-        step, normal, variance, deviance = (
-            np.where(better.reshape(-1, *[1] * (x.ndim - 1)), y, x) for x, y in zip(first, second, strict=True)
-        )
-        return step, normal, variance, deviance
+        pairs = zip(first, second, strict=True)
+        return tuple(np.where(better.reshape(-1, *[1] * (x.ndim - 1)), y, x) for x, y in pairs)
 
     def fit(
         self, columns: Columns, mean: np.ndarray, precision: np.ndarray, held: Float[np.ndarray, " c"] | None = None

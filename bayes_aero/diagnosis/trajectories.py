@@ -31,6 +31,7 @@ from bayes_aero.diagnosis.selection_state import (
     by_manoeuvre,
     finite,
     lag_of,
+    quiet,
 )
 from bayes_aero.dynamics.flight import (
     AircraftDynamics,
@@ -410,11 +411,8 @@ def eliminate(
     settings: DiagnosisSettings = DEFAULT,
 ) -> Elimination:
     """Test each of `causes` on hold-out flights; one with `silent` parameters is not tested and stays."""
-    unheard, fit, inflation = (
-        {name for held in silent.values() for name in held},
-        contender.fit,
-        noise.variance_inflation,
-    )
+    fit, inflation = contender.fit, noise.variance_inflation
+    unheard = {name for held in silent.values() for name in held}
     neutral = {e.name: e.neutral_values for e in causes if not unheard & set(e.neutral_values)}
     made = {tuple(neutral): fits}
 
@@ -490,11 +488,8 @@ def trajectory_variance_inflation(fit: output_error.OutputErrorResult) -> float:
         begin = k + row * (wide - k)
         whole[row, :, :, begin : begin + wide - k] = S[row, :, :, k:]
     keep = inside.ravel()
-    flat, r, segment = (
-        whole.reshape(w * m, c, -1)[keep],
-        residual.reshape(w * m, c)[keep],
-        np.repeat(np.arange(w), m)[keep],
-    )
+    flat, r = whole.reshape(w * m, c, -1)[keep], residual.reshape(w * m, c)[keep]
+    segment = np.repeat(np.arange(w), m)[keep]
     start = np.diff(segment, prepend=-1) != 0
     information = np.einsum("nci,c,ncj->ij", flat, 1.0 / fit.R, flat, optimize=True)
     used = np.diag(information) > 0.0
@@ -521,30 +516,26 @@ def compare_trajectories(
 ) -> result.Trajectories:
     """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
     `biases`: outputs recorded with a constant error in each manoeuvre, which are fitted, too."""
-
-    def tell(text: str, share: float) -> None:
-        if progress:
-            progress(f"trajectories: {text}", share)
-
+    tell = progress or quiet
     settings, causes = diagnosis.aerodynamics.state.full.settings, [c.name for c in diagnosis.causes if c.confirmed]
     added = [e for e in diagnosis.aerodynamics.state.full.model.effects if e.name in causes]
     contenders, lag, noise = _contenders(diagnosis, added, flights, biases, tell)
     best = extended = contenders["extended"]
-    tell("left out", 0.5)
+    tell("trajectories: left out", 0.5)
     count, inflation = len(extended.fit.flown.index), noise.variance_inflation
     silent = {name: {k: c.silent(k, settings.unidentified) for k in range(count)} for name, c in contenders.items()}
     fits: dict[str, list[output_error.OutputErrorResult]] = {name: [] for name in contenders}
     for number, (name, fit) in enumerate(left_out(tuple(contenders.values()), silent, noise), start=1):
         fits[name].append(fit)
-        tell("left out", 0.5 + 0.3 * number / (count * len(contenders)))
+        tell("trajectories: left out", 0.5 + 0.3 * number / (count * len(contenders)))
     if lag is not None and "lagged" in contenders:
         unseen = [holdout_fits(contenders[name], fits[name], {}) for name in ("extended", "lagged")]
         without, within = (left_out_of(paths, extended.fit.flown, inflation) for paths in unseen)
         lag = confirmed(lag, without, within, settings.hold_out)
         best = contenders["lagged"] if lag.kept else extended
-    tell("causes that hold-out flights need", 0.8)
+    tell("trajectories: causes that hold-out flights need", 0.8)
     flies = eliminate(best, fits[best.name], added, silent[best.name], noise, settings)
-    tell("errors", 0.9)
+    tell("trajectories: errors", 0.9)
     paths, shown = [], {"card": (contenders["card"], fits["card"]), "extended": (flies.contender, flies.fits)}
     for name, (c, _) in shown.items():
         paths += simulated(c.fit.estimate, c.fit.flown, name, "fitted", c.fit.departure, tolerances)
@@ -585,8 +576,11 @@ def _contenders(
     """The extended model fitted to all flights, the one with a lag where that gains, and the card's."""
     whole = diagnosis.aerodynamics.state.full
     base = [e for e in whole.model.effects if e.name in whole.base or not e.parameters]
-    values, model = dict(zip(whole.model.names, diagnosis.theta, strict=True)), _extended(whole.model, [*base, *added])
-    tell("extended model", 0.0)
+    values, model = (
+        dict(zip(whole.model.names, diagnosis.aerodynamics.state.theta, strict=True)),
+        _extended(whole.model, [*base, *added]),
+    )
+    tell("trajectories: extended model", 0.0)
     side = partial(_side, flights, biases)
     stages, start = side(model, values)
     joint = output_error.fit_cascade(stages, [start], prior_weight=FIRST_INFLATION)
@@ -596,11 +590,11 @@ def _contenders(
     extended = CandidateFit("extended", joint, frozenset(p.name for e in added for p in e.parameters))
     contenders, lag, effect = [extended], None, open_lag(whole, diagnosis.aerodynamics, model)
     if effect is not None:
-        tell("separation lag", 0.2)
+        tell("trajectories: separation lag", 0.2)
         wider = _extended(whole.model, [*base, *added, effect])
         lagged, lag = with_lag(wider, effect, extended, noise, flights, whole.settings)
         contenders += [lagged] if lag.gains else []
-    tell("card's model", 0.3)
+    tell("trajectories: card's model", 0.3)
     contenders.append(
         _card(diagnosis, _extended(whole.model, base), stages, added, extended, noise.variance_inflation, side)
     )
@@ -671,11 +665,7 @@ def fit_trajectories(
     """Fit windows from the parameters' own start and every one of `starts`, then whole manoeuvres.
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
     by the one and its samples by the other."""
-
-    def tell(text: str, share: float) -> None:
-        if progress:
-            progress(text, share)
-
+    tell = progress or quiet
     by_effects = isinstance(unbiased(dynamics), AircraftDynamics)
     dynamics = biased_dynamics(dynamics, flights, setting.biases)
     first = np.array([p.start for p in dynamics.free])

@@ -61,6 +61,7 @@ from bayes_aero.diagnosis.selection_state import (
     inverse,
     moved,
     optimum,
+    quiet,
     refitted,
 )
 from bayes_aero.effect import Kind
@@ -332,10 +333,7 @@ def leader(
     trial = state.with_components([c.component for c in rest], [c.component for c in chosen])
     fit = trial.best
     projected, n = PartialledRegression(trial, fit, trial.component_columns), float(trial.products.count.sum())
-    place, bread = (
-        np.array(x)
-        for x in zip(*((p[0], b[0, 0]) for p, b in zip(projected.place, projected.bread, strict=True)), strict=True)
-    )
+    place, bread = np.array([p[0] for p in projected.place]), np.array([b[0, 0] for b in projected.bread])
     right = projected.right(trial.left())[place]
     gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
     order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
@@ -374,11 +372,8 @@ def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[F
     own, sizes = slice(len(fit.columns) - len(terms), None), []
     for term, size, sd in zip(terms, fit.step[own], deviation[own], strict=True):
         column, coefficient = term.column, term.column.component.coefficient
-        factor, least = (
-            (float(size) / column.scale, float(sd) / column.scale),
-            SWING[coefficient] / max(column.spread, 1e-12),
-        )
-        gain = nats(term.gain, term.inflation)
+        factor, gain = (float(size) / column.scale, float(sd) / column.scale), nats(term.gain, term.inflation)
+        least = SWING[coefficient] / max(column.spread, 1e-12)
         sizes.append(FoundTerm(coefficient, column.term, factor, term.share, gain, term.weight, term.others, least))
     return tuple(sizes)
 
@@ -558,40 +553,32 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
 
     bare = extension.state.without([name for name in left.replaced if name in extension.state.active])
     causes = [name for name in extension.causes if name not in left.replaced]
-    return _with_terms(instead, bare, causes, sought, keep=False)[0]
+    return _with_terms(instead, bare, causes, sought)[0]
 
 
-def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = None) -> Forms:
+def flown_forms(extension: Extension, *, seed: int, progress: Progress = quiet) -> Forms:
     """Terms of all coefficients for what an extended model leaves of trajectories or innovations."""
-    if progress:
-        progress("terms", 0.0)
+    progress("terms", 0.0)
     instead, terms = contest(extension), list[SelectedTerm]()
     forms, unknown = instead, list[UnexplainedStructure]()
     if not (instead.terms or instead.replaced):
         sought = partial(terms_of_flights, seed=seed)
-        forms, terms = _with_terms(instead, extension.state, extension.causes, sought, keep=True)
+        forms, terms = _with_terms(instead, extension.state, extension.causes, sought)
     for term, c in zip(terms, components_of(terms), strict=True):
         unknown.append(UnexplainedStructure(c.coefficient, c.channel, term.share, term.p_value, term.elsewhere))
     return forms._replace(unknown=described(unknown, instead))
 
 
 def _with_terms(
-    forms: Forms,
-    state: SelectionState,
-    causes: Sequence[str],
-    sought: Callable[[SelectionState], list[SelectedTerm]],
-    *,
-    keep: bool,
+    forms: Forms, state: SelectionState, causes: Sequence[str], sought: Callable[[SelectionState], list[SelectedTerm]]
 ) -> tuple[Forms, list[SelectedTerm]]:
-    """Terms beside a state; sought again without causes that only stood in for one, or, to `keep`, as they were."""
+    """Terms beside a state, if there are any without causes that only stood in for one: then without these."""
     terms, replaced = sought(state), ()
     if terms and (replaced := superfluous(state, causes, components_of(terms))):
         bare = state.without(replaced)
         again = sought(bare)
-        state, terms, replaced = (state, terms, ()) if keep and not again else (bare, again, replaced)
-    if not terms:
-        return forms, []
-    return forms._replace(terms=sized_terms(state, terms), replaced=replaced), terms
+        state, terms, replaced = (bare, again, replaced) if again else (state, terms, ())
+    return (forms._replace(terms=sized_terms(state, terms), replaced=replaced) if terms else forms), terms
 
 
 def described(unknown: Sequence[UnexplainedStructure], forms: Forms) -> tuple[UnexplainedStructure, ...]:
@@ -657,11 +644,8 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
     places = {n: [columns.index(column) for column in constants_of(best.state, n)] for n in best.state.apart}
     negligible = [name for name, at in places.items() if np.ptp(step[at]) < SWING[name]]
     gone_apart = (*idle, *(name for name in state.apart if name not in best.state.apart), *negligible)
-    terms, sizes = (
-        sized_terms(best.state, best.terms),
-        _sizes_beside(best, [name for name in causes if name not in gone]),
-    )
-    return Forms(terms, gone, tuple(dict.fromkeys(gone_apart)), rivals, sizes, shown)
+    sizes = _sizes_beside(best, [name for name in causes if name not in gone])
+    return Forms(sized_terms(best.state, best.terms), gone, tuple(dict.fromkeys(gone_apart)), rivals, sizes, shown)
 
 
 def _without(state: SelectionState, effects: Sequence[str], apart: tuple[str, ...]) -> SelectionState:

@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.optimize import nnls
 
 from bayes_aero.diagnosis.design import Information, best_points, noise_of, possible_points, refused_points, variants_of
-from bayes_aero.diagnosis.selection_state import CandidateModel, linearised
+from bayes_aero.diagnosis.selection_state import CandidateModel, linearised, quiet
 from bayes_aero.diagnosis.trajectories import CandidateFit, FlightNoise, label, left_out, masked, posterior_draws
 from bayes_aero.dynamics.pilot import through_gusts
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
@@ -299,8 +299,7 @@ def qualify(
     cases, judged, strips = _cases(flown, tests, unknown, seed), list[Test](), list[Strip]()
     undecided, scattered = list[OpenTest](), None
     for number, case in enumerate(cases):
-        if progress:
-            progress("flights", number / len(cases))
+        (progress or quiet)("flights", number / len(cases))
         results, strip, still = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
         judged += results
         strips.append(strip)

@@ -286,7 +286,9 @@ def test_a_lag_whose_fit_breaks_down_is_a_failure_and_not_no_lag(monkeypatch, br
     monkeypatch.setattr(searches, "_with_lag", broken)
     monkeypatch.setattr(searches.Search, "_inside", lambda _, fit: fit)
     monkeypatch.setattr(searches.Search, "_with_terms", ended)
-    search = part(searches.Search, records=(), card=None, model=None, extra=(), settings=None, seed=0, progress=None)
+    search = part(
+        searches.Search, records=(), card=None, model=None, extra=(), settings=None, seed=0, progress=lambda *_: None
+    )
     with pytest.raises(SearchedError) as ending:
         search.trajectories()
     found, failures = ending.value.args
