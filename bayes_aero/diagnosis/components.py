@@ -470,8 +470,8 @@ def testable(state: SelectionState) -> bool:
 
 def _scanned(state: SelectionState) -> tuple[Columns, list[Span]]:
     """Columns of the parameters of the aerodynamics that are in, and the times at which they may change."""
-    moved = [e for e in state.full.model.effects if e.kind is Kind.AERODYNAMICS and e.stage > Stage.INFLOW]
-    own, names = {p for e in moved for p in state.full.parameters_of(e.name)}, state.full.model.names
+    acting = [e for e in state.full.model.effects if e.kind is Kind.AERODYNAMICS and e.stage > Stage.INFLOW]
+    own, names = {p for e in acting for p in state.full.parameters_of(e.name)}, state.full.model.names
     columns = np.array([c for c in state.columns() if c < len(names) and names[c] in own], int)
     least = max(1, round(state.settings.change_least / state.responses.seconds))
     return columns, spans(state.responses.manoeuvre, least, state.settings.change_begins)

@@ -125,8 +125,8 @@ def errors_of_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
     )
 
 
-def _plain(effect: Effect, sizes: Mapping[str, Size], joint: Mapping[str, float], *, minor: bool) -> dict[str, Any]:
-    of = {p: sizes[p.name] for p in effect.parameters}
+def _plain(effect: Effect, estimates: Mapping[str, Size], joint: Mapping[str, float], *, minor: bool) -> dict[str, Any]:
+    of = {p: estimates[p.name] for p in effect.parameters}
     parameters = {p.name: {"mean": size.mean, "sd": size.sd, "unit": p.unit} for p, size in of.items()}
     return {"claim": effect.claim, "minor": minor, "parameters": parameters, "joint": dict(joint)}
 

@@ -12,58 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
+from bayes_aero.diagnosis import result, selection
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts, open_errors
 from bayes_aero.diagnosis.design import flights_of, narrowed
-from bayes_aero.diagnosis.result import (
-    COEFFICIENTS,
-    FLIGHT_PATH,
-    LEVELS,
-    LITTLE,
-    Cause,
-    CausesInBand,
-    Compared,
-    Confirmation,
-    Diagnosis,
-    DiagnosisView,
-    Fitted,
-    Gain,
-    HoldoutScores,
-    JointCovariance,
-    ParameterMove,
-    RankedCandidate,
-    Ranking,
-    ResidualProfile,
-    Size,
-    SizeInBand,
-    Tested,
-    UnexplainedStructure,
-    Verdict,
-    View,
-    theil_parts,
-)
 from bayes_aero.diagnosis.screening import CandidateScore, lag1_within, screen, uncertainty
 from bayes_aero.diagnosis.search import Search, SearchResult
-from bayes_aero.diagnosis.selection import (
-    Extension,
-    LeftOut,
-    absorbed,
-    added,
-    cancelling,
-    confirmation,
-    correlated,
-    explained,
-    implausible,
-    implausible_candidate,
-    measured_blocks,
-    mixes_noise,
-    noise_shares,
-    normal_draws,
-    removed,
-    scores_of,
-    split_name,
-    truncated,
-    without_hold,
-)
 from bayes_aero.diagnosis.selection_state import (
     DEFAULT,
     CandidateModel,
@@ -101,7 +54,7 @@ def diagnose(
     seed: int = 0,
     extra: Sequence[Effect] = (),
     progress: Progress | None = None,
-) -> Diagnosis:
+) -> result.Diagnosis:
     """Find what the card's model gets wrong on `records`; `settings` hold every threshold.
 
     The model is compared with coefficients, with trajectories where no accelerometer gives those, or, as the settings
@@ -111,38 +64,42 @@ def diagnose(
     gusts = in_gusts(records, card, seed) if settings.process_noise is None else {}
     candidates = (*own_effects(card.effect_files).values(), *extra)
     search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress or quiet)
-    result = search.made(by_innovations=bool(settings.process_noise or gusts))
-    stages, state = result.stages, result.model.state
+    searched = search.made(by_innovations=bool(settings.process_noise or gusts))
+    stages, state = searched.stages, searched.model.state
     kept_of, failed = {stage: extension.state.active for stage, extension in stages.items()}, ()
-    if settings.gains and result.testable_now:
-        candidates, kept_of, failed = _confirmed(result, progress or quiet)
+    if settings.gains and searched.testable_now:
+        candidates, kept_of, failed = _confirmed(searched, progress or quiet)
     else:
-        candidates = causes_of(result, {}, quiet)
+        candidates = causes_of(searched, {}, quiet)
     # Offsets between manoeuvres are in the model beside the causes.
-    hardly = stand_ins(candidates, stages, [structure for structure in result.unknown if not structure.offsets])
+    hardly = stand_ins(candidates, stages, [structure for structure in searched.unknown if not structure.offsets])
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
-    unknown = (*result.unknown, *structure_of(result, (*unnamed, *beyond)))
+    unknown = (*searched.unknown, *structure_of(searched, (*unnamed, *beyond)))
     kept = tuple(name for name in kept_of[state.responses.stage] if name not in {c.name for c in beyond})
     causes, beyond = without_conditional(causes, beyond)
-    pairs = [cancelling(x, [c.name for c in causes if c.stage == stage]) for stage, x in stages.items()]
-    same: dict[str, Any] = {n: getattr(result, n) for n in ("noise", "not_testable", "sensors", "changes", "terms")}
-    return Diagnosis(
-        verdict=Verdict.UNDECIDED,
+    pairs = [selection.cancelling(x, [c.name for c in causes if c.stage == stage]) for stage, x in stages.items()]
+    same: dict[str, Any] = {n: getattr(searched, n) for n in ("noise", "not_testable", "sensors", "changes", "terms")}
+    return result.Diagnosis(
+        verdict=result.Verdict.UNDECIDED,
         causes=causes,
-        minor=(*(result.sensors.minor if result.sensors else ()), *result.model.minor, *(c.name for c in unnamed)),
+        minor=(
+            *(searched.sensors.minor if searched.sensors else ()),
+            *searched.model.minor,
+            *(c.name for c in unnamed),
+        ),
         unknown=unknown,
-        aerodynamics=result.model,
-        split=split_name(state),
-        base_moves=moves_of(result.model),
+        aerodynamics=searched.model,
+        split=selection.split_name(state),
+        base_moves=moves_of(searched.model),
         kept=kept,
-        failures=(*result.failures, *failed),
-        notes=(*left_out, *result.notes),
+        failures=(*searched.failures, *failed),
+        notes=(*left_out, *searched.notes),
         together=tuple(pair for of_stage in pairs for pair in of_stage),
         beyond=beyond,
-        tested=None if result.testable_now else Tested({}),
+        tested=None if searched.testable_now else result.Tested({}),
         compared=state.responses.stage,
         gusts=gusts,
-        absorbed=absorbed(result.model),
+        absorbed=selection.absorbed(searched.model),
         **same,
     ).judged()
 
@@ -150,14 +107,14 @@ def diagnose(
 Kept = Mapping[str, tuple[str, ...]]  # by stage, additions that hold-out data confirm
 
 
-def _confirmed(result: SearchResult, progress: Progress) -> tuple[list[Cause], Kept, tuple[str, ...]]:
+def _confirmed(searched: SearchResult, progress: Progress) -> tuple[list[result.Cause], Kept, tuple[str, ...]]:
     """Causes with what unseen data say of them, the additions of every stage that these confirm, and failures."""
 
-    def tested() -> tuple[list[Cause], Kept]:
+    def tested() -> tuple[list[result.Cause], Kept]:
         """Without a confirmed cause by which hold-out data are predicted worse: all together, or one output."""
-        confirmations = {stage: confirmation(extension.state) for stage, extension in result.stages.items()}
+        confirmations = {stage: selection.confirmation(extension.state) for stage, extension in searched.stages.items()}
         while True:
-            causes, degrades = causes_of(result, confirmations, progress), result.full.settings.degrades
+            causes, degrades = causes_of(searched, confirmations, progress), searched.full.settings.degrades
             losing = [c for c in causes if c.confirmed and (c.gain.degraded or degrades(c.gain.elpd, c.gain.elpd_se))]
             if not losing:
                 return causes, {stage: sure.kept for stage, sure in confirmations.items()}
@@ -167,21 +124,23 @@ def _confirmed(result: SearchResult, progress: Progress) -> tuple[list[Cause], K
     causes, failures = attempted("No cause was tested on hold-out data", tested, None)
     if causes is not None:
         return (*causes, failures)
-    untested = [replace(cause, confirmed=False) for cause in causes_of(result, {}, quiet)]
-    return untested, dict.fromkeys(result.stages, ()), failures
+    untested = [replace(cause, confirmed=False) for cause in causes_of(searched, {}, quiet)]
+    return untested, dict.fromkeys(searched.stages, ()), failures
 
 
 def without_conditional(
-    causes: Sequence[Cause], beyond: Sequence[Cause]
-) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
+    causes: Sequence[result.Cause], beyond: Sequence[result.Cause]
+) -> tuple[tuple[result.Cause, ...], tuple[result.Cause, ...]]:
     """Causes, and `beyond` with those that were estimated together with one of them: these hold only beside it."""
     joint = [c for c in causes if any(one.name in c.joint and one.stage == c.stage for one in beyond)]
     return tuple(c for c in causes if c not in joint), (*beyond, *joint)
 
 
-def causes_of(searched: SearchResult, confirmations: Mapping[str, Confirmation], progress: Progress) -> list[Cause]:
+def causes_of(
+    searched: SearchResult, confirmations: Mapping[str, result.Confirmation], progress: Progress
+) -> list[result.Cause]:
     """Causes of every stage; of selections that were repeated without what is too large, that."""
-    causes = list[Cause]()
+    causes = list[result.Cause]()
     for stage, extension in searched.stages.items():
         sure, measured = confirmations.get(stage), {}
         if sure is not None and extension.causes:
@@ -189,7 +148,7 @@ def causes_of(searched: SearchResult, confirmations: Mapping[str, Confirmation],
         forms = searched.forms if extension is searched.model else {}
         causes += _causes_in(searched.full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
-            out = without_hold(larger) if stage == FLIGHT_PATH else larger.implausible
+            out = selection.without_hold(larger) if stage == result.FLIGHT_PATH else larger.implausible
             causes += _causes_in(searched.full, stage, larger, [n for n in larger.causes if n in out], None, {}, {})
     return causes
 
@@ -197,18 +156,18 @@ def causes_of(searched: SearchResult, confirmations: Mapping[str, Confirmation],
 def _causes_in(
     full: CandidateModel,
     stage: str,
-    extension: Extension,
+    extension: selection.Extension,
     names: Sequence[str],
-    sure: Confirmation | None,
-    measured: Mapping[str, Gain],
+    sure: result.Confirmation | None,
+    measured: Mapping[str, result.Gain],
     forms: Mapping[str, tuple[str, float]],
-) -> list[Cause]:
+) -> list[result.Cause]:
     """Some causes of one extension."""
-    causes, state = list[Cause](), extension.state
+    causes, state = list[result.Cause](), extension.state
     if not names:
         return causes
-    joint, noise = correlated(extension, extension.causes), noise_shares(state)
-    undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
+    joint, noise = selection.correlated(extension, extension.causes), selection.noise_shares(state)
+    undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == result.FLIGHT_PATH else {}
     effects = {e.name: e for e in full.candidates}
     for name in names:
         effect, in_place = effects[name], dict[str, tuple[float, float]]()
@@ -222,7 +181,7 @@ def _causes_in(
             others = (*others, forms[name][0])
         gain = measured.get(name, NO_GAIN)
         causes.append(
-            Cause(
+            result.Cause(
                 name=name,
                 kind=effect.kind.value,
                 claim=effect.claim,
@@ -235,7 +194,7 @@ def _causes_in(
                 excited=_excited(state, name),
                 confirmed=sure is None or name in sure.kept,
                 missed=NOTHING if sure is None else sure.missed[name],
-                implausible=implausible(effect, extension.sizes),
+                implausible=selection.implausible(effect, extension.sizes),
                 own_share=own_share(state, name),
                 joint=joint.get(name, {}),
                 rival_gains={rival: gain for rival, gain in in_place.items() if rival in others},
@@ -244,23 +203,23 @@ def _causes_in(
     return causes
 
 
-def _with_harm(gain: Gain, sure: Confirmation, name: str) -> Gain:
+def _with_harm(gain: result.Gain, sure: result.Confirmation, name: str) -> result.Gain:
     return replace(gain, degraded={**gain.degraded, **sure.harmed.get(name, {})})
 
 
-def structure_of(result: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
+def structure_of(searched: SearchResult, unnamed: Sequence[result.Cause]) -> tuple[result.UnexplainedStructure, ...]:
     """What the record shows and cannot attribute: to one of several rivals, or to a size that no aircraft has."""
-    effects, described = {e.name: e for e in result.full.candidates}, {u.coefficient for u in result.unknown}
+    effects, described = {e.name: e for e in searched.full.candidates}, {u.coefficient for u in searched.unknown}
     structures = []
     for c in (c for c in unnamed if (c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with)):
-        structure = as_structure(c, result.stages[c.stage], effects[c.name])
-        enough = structure.share >= result.full.settings.unnamed_share and structure.coefficient not in described
-        if c.name in result.stages[c.stage].state.active or enough:
+        structure = as_structure(c, searched.stages[c.stage], effects[c.name])
+        enough = structure.share >= searched.full.settings.unnamed_share and structure.coefficient not in described
+        if c.name in searched.stages[c.stage].state.active or enough:
             structures.append(structure)
     return tuple(structures)
 
 
-def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
+def moves_of(extension: selection.Extension) -> Mapping[str, tuple[float, float, float]]:
     before, after, estimates = extension.base, extension.state, extension.sizes
     return {
         name: (float(before.theta[before.full.columns([name])[0]]), float(after.theta[i]), estimates[name].sd)
@@ -279,15 +238,19 @@ def _excited(state: SelectionState, name: str) -> bool:
 
 
 def rivals_of(
-    extension: Extension, name: str, worse: Sequence[str] = (), noise: float = 0.0
+    extension: selection.Extension, name: str, worse: Sequence[str] = (), noise: float = 0.0
 ) -> tuple[float, tuple[str, ...]]:
     """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
     # Left out is what predicts hold-out data `worse`, only hides noise, or must be larger than aircraft have.
     state, effects, best = extension.state, {e.name: e for e in extension.state.full.candidates}, {}
     out = {*worse, *(n for larger in extension.larger for n in larger.implausible)}
     for standing in screen(state, without=name).candidate_scores:
-        able = standing.score > state.settings.least_rival_score and not mixes_noise(state, standing)
-        able = able and standing.effect not in out and not implausible_candidate(effects[standing.effect], standing)
+        able = standing.score > state.settings.least_rival_score and not selection.mixes_noise(state, standing)
+        able = (
+            able
+            and standing.effect not in out
+            and not selection.implausible_candidate(effects[standing.effect], standing)
+        )
         if standing.effect == name or able:
             best.setdefault(standing.effect, standing)
     if name not in best:
@@ -299,24 +262,24 @@ def rivals_of(
     return float(1.0 / (sum(np.exp(min(0.0, -x)) for x in less.values()) + nothing)), close
 
 
-def sensors_not_missed(diagnosis: Diagnosis, flights: Confirmation) -> Confirmation:
+def sensors_not_missed(diagnosis: result.Diagnosis, flights: result.Confirmation) -> result.Confirmation:
     """Errors of sensors that coefficients confirm and held-out flights do not miss."""
     # Coefficients are a regression on recorded channels, whose noise bends it as an error of a sensor may. A simulated
     # flight has no regressors.
-    measured = {c.name for c in diagnosis.causes if c.kind == Kind.MEASUREMENT and c.stage == COEFFICIENTS}
+    measured = {c.name for c in diagnosis.causes if c.kind == Kind.MEASUREMENT and c.stage == result.COEFFICIENTS}
     return replace(flights, missed={n: x for n, x in flights.missed.items() if n in measured - {*flights.kept}})
 
 
 def judged_on_held_out_flights(
-    diagnosis: Diagnosis, confirmation: Confirmation, held: Collection[str] = ()
-) -> Diagnosis:
+    diagnosis: result.Diagnosis, flights: result.Confirmation, held: Collection[str] = ()
+) -> result.Diagnosis:
     """The diagnosis with causes confirmed by held-out flights, or not; one with parameters `held` was not tested."""
 
-    def judged(c: Cause) -> Cause:
-        if c.name not in confirmation.missed:
+    def judged(c: result.Cause) -> result.Cause:
+        if c.name not in flights.missed:
             return replace(c, confirmed=False) if set(held) & set(c.parameters) else c
-        gain, kept = _with_harm(c.gain, confirmation, c.name), c.name in confirmation.kept
-        return replace(c, confirmed=kept, missed=confirmation.missed[c.name], gain=gain)
+        gain, kept = _with_harm(c.gain, flights, c.name), c.name in flights.kept
+        return replace(c, confirmed=kept, missed=flights.missed[c.name], gain=gain)
 
     return diagnosis.judged(causes=tuple(map(judged, diagnosis.causes)))
 
@@ -324,15 +287,19 @@ def judged_on_held_out_flights(
 # --- What every cause gains on hold-out data beside the causes before it.
 
 NOTHING = (float("nan"), float("nan"))
-NO_GAIN = Gain(*NOTHING, "not measured", {}, {})
+NO_GAIN = result.Gain(*NOTHING, "not measured", {}, {})
 
 
-def gains_of(extension: Extension, aerodynamics: Extension, kept: Sequence[str], progress: Progress) -> dict[str, Gain]:
+def gains_of(
+    extension: selection.Extension, aerodynamics: selection.Extension, kept: Sequence[str], progress: Progress
+) -> dict[str, result.Gain]:
     """Gains of an extension's causes on left-out folds, each beside nuisances and the confirmed causes before it."""
-    state, causes, name_of_split = extension.state, extension.causes, split_name(extension.state)
+    state, causes, name_of_split = extension.state, extension.causes, selection.split_name(extension.state)
     nuisances = [name for name in extension.minor if name in kept]
 
-    def chain(left_out: Callable[[list[str]], LeftOut]) -> tuple[LeftOut, dict[str, tuple[LeftOut, LeftOut]]]:
+    def chain(
+        left_out: Callable[[list[str]], selection.LeftOut],
+    ) -> tuple[selection.LeftOut, dict[str, tuple[selection.LeftOut, selection.LeftOut]]]:
         """Hold-out data without any cause, and without and with each."""
         base = before = left_out([])
         pairs, sure = {}, list[str]()
@@ -343,42 +310,48 @@ def gains_of(extension: Extension, aerodynamics: Extension, kept: Sequence[str],
                 before, sure = pairs[name][1], [*sure, name]
         return base, pairs
 
-    base, pairs = chain(lambda names: LeftOut.refitted(truncated(state, (*nuisances, *names))))
+    base, pairs = chain(lambda names: selection.LeftOut.refitted(selection.truncated(state, (*nuisances, *names))))
     gained = {name: (*after.gain(before), name_of_split) for name, (before, after) in pairs.items()}
     if state.of_coefficients:
-        measured = measured_blocks(state)
-        return {n: Gain(*gained[n], base.scores(measured), after.scores(measured)) for n, (_, after) in pairs.items()}
+        measured = selection.measured_blocks(state)
+        return {
+            n: result.Gain(*gained[n], base.scores(measured), after.scores(measured)) for n, (_, after) in pairs.items()
+        }
     if extension is aerodynamics:  # no coefficients to score
-        return {name: Gain(*gain, {}, {}) for name, gain in gained.items()}
+        return {name: result.Gain(*gain, {}, {}) for name, gain in gained.items()}
     card, gains = aerodynamics.base, {}
 
-    def corrected(sensors: Sequence[str]) -> LeftOut:
+    def corrected(sensors: Sequence[str]) -> selection.LeftOut:
         """The card's fit of the coefficients with these corrections of sensors alone."""
         theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
-        return LeftOut.refitted(moved(card, theta, ()))
+        return selection.LeftOut.refitted(moved(card, theta, ()))
 
-    measured, (base, pairs) = measured_blocks(card), chain(corrected)
+    measured, (base, pairs) = selection.measured_blocks(card), chain(corrected)
     for name, (before, after) in pairs.items():  # what each correction does to the coefficients, and what it worsens
         worse = state.settings.degraded(after.output_gains(before))
-        gains[name] = Gain(*gained[name], base.scores(measured), after.scores(measured), worse)
+        gains[name] = result.Gain(*gained[name], base.scores(measured), after.scores(measured), worse)
     return gains
 
 
 def rival_gains(
-    extension: Extension, cause: str, rivals: Sequence[str], kept: Sequence[str]
+    extension: selection.Extension, cause: str, rivals: Sequence[str], kept: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
     """Hold-out log density of each rival in place of a confirmed cause beyond it; minus infinity if too large."""
     state, gains = extension.state, {}
     ranking, others = screen(state, without=cause), [e for e in kept if e != cause]
-    reference = LeftOut.refitted(refitted(truncated(state, kept)))
+    reference = selection.LeftOut.refitted(refitted(selection.truncated(state, kept)))
     for rival in rivals:
         if (standing := ranking.of(rival)) is not None:
-            other = refitted(added(removed(state, cause), standing))
-            other = refitted(truncated(other, [*others, rival]))
+            other = refitted(selection.added(selection.removed(state, cause), standing))
+            other = refitted(selection.truncated(other, [*others, rival]))
             effect = next(e for e in other.full.candidates if e.name == rival)
             values = dict(zip(other.full.model.names, map(float, other.theta), strict=True))
-            fitted = {p.name: Size(values[p.name], 0.0, p.unit) for p in effect.parameters if p.name in values}
-            gains[rival] = (-math.inf, 0.0) if implausible(effect, fitted) else LeftOut.refitted(other).gain(reference)
+            fitted = {p.name: result.Size(values[p.name], 0.0, p.unit) for p in effect.parameters if p.name in values}
+            gains[rival] = (
+                (-math.inf, 0.0)
+                if selection.implausible(effect, fitted)
+                else selection.LeftOut.refitted(other).gain(reference)
+            )
     return gains
 
 
@@ -398,11 +371,11 @@ def own_share(state: SelectionState, effect: str) -> float:
 
 
 def attributed(
-    causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT, stand_ins: Sequence[str] = ()
-) -> tuple[tuple[Cause, ...], ...]:
+    causes: Sequence[result.Cause], settings: DiagnosisSettings = DEFAULT, stand_ins: Sequence[str] = ()
+) -> tuple[tuple[result.Cause, ...], ...]:
     """Causes that the record can attribute; those larger than on any aircraft (another fault is behind); the rest."""
 
-    def named(c: Cause) -> bool:  # no more equals than the record can choose among
+    def named(c: result.Cause) -> bool:  # no more equals than the record can choose among
         few = 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely)
         return few and c.name not in stand_ins
 
@@ -415,30 +388,32 @@ def attributed(
 
 
 def stand_ins(
-    causes: Sequence[Cause], extensions: Mapping[str, Extension], unknown: Sequence[UnexplainedStructure]
+    causes: Sequence[result.Cause],
+    extensions: Mapping[str, selection.Extension],
+    unknown: Sequence[result.UnexplainedStructure],
 ) -> tuple[str, ...]:
     """Causes that the record hardly excites, where the output that they move most has structure without a name."""
     # Small errors of the model change their estimates strongly, and there the model is shown to be wrong.
     left = {u.coefficient for u in unknown}
-    return tuple(c.name for c in causes if c.own_share < LITTLE and _output(extensions[c.stage], c.name) in left)
+    return tuple(c.name for c in causes if c.own_share < result.LITTLE and _output(extensions[c.stage], c.name) in left)
 
 
-def _output(extension: Extension, name: str, step: CandidateScore | None = None) -> str:
+def _output(extension: selection.Extension, name: str, step: CandidateScore | None = None) -> str:
     """The output that an addition, or a candidate with this step, moves most, over what is left there."""
     state = extension.state
     columns, away = state.full.own_columns(name), state.departure
     if name not in state.active and step is not None:
         columns, away = np.array(step.columns, int), dict(zip(step.columns, step.step, strict=False))
-    moved = (state.scaled[:, :, columns] @ np.array([away[c] for c in columns]))[state.inside]
-    return state.outputs[int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / state.best.variance))]
+    shift = (state.scaled[:, :, columns] @ np.array([away[c] for c in columns]))[state.inside]
+    return state.outputs[int(np.argmax(np.mean((shift - shift.mean(axis=0)) ** 2, axis=0) / state.best.variance))]
 
 
-def as_structure(cause: Cause, extension: Extension, effect: Effect) -> UnexplainedStructure:
+def as_structure(cause: result.Cause, extension: selection.Extension, effect: Effect) -> result.UnexplainedStructure:
     """What a cause that is none explained: the output of which it takes most, through which channel."""
     standing = screen(extension.state, without=cause.name).of(cause.name)
-    share = 0.0 if standing is None else explained(extension.state, standing)
+    share = 0.0 if standing is None else selection.explained(extension.state, standing)
     channel, output = (*effect.channels, effect.kind.value)[0], _output(extension, cause.name, standing)
-    return UnexplainedStructure(output, channel, share, cause.p_value, (cause.name, *cause.ambiguous_with))
+    return result.UnexplainedStructure(output, channel, share, cause.p_value, (cause.name, *cause.ambiguous_with))
 
 
 DRAWS = 400  # of a model's parameters, for the intervals of its stall
@@ -446,32 +421,35 @@ NOT_SIGNALS = ("X", "measured", "modelled", "residual", *NAMES, *LATERAL)
 RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces make, not what makes them
 
 
-def view_of(diagnosis: Diagnosis) -> DiagnosisView:
+def view_of(diagnosis: result.Diagnosis) -> result.DiagnosisView:
     """What is shown of a diagnosis, whichever way the model met the record."""
     if diagnosis.by_coefficients:
         return coefficient_view(diagnosis)
     units = {p.name: p.unit for p in diagnosis.aerodynamics.state.full.model.free}
     moves = {  # of the card's parameters before, the standard errors are not known
-        name: ParameterMove(a, b, float("nan"), sd, units[name]) for name, (a, b, sd) in diagnosis.base_moves.items()
+        name: result.ParameterMove(a, b, float("nan"), sd, units[name])
+        for name, (a, b, sd) in diagnosis.base_moves.items()
     }
     deviations = {name: move.sd_after for name, move in moves.items()}
     covariance = joint_covariance(diagnosis.aerodynamics, deviations, diagnosis.causes)
-    return DiagnosisView(diagnosis=diagnosis, rankings=rankings_of(diagnosis), moves=moves, covariance=covariance)
+    return result.DiagnosisView(
+        diagnosis=diagnosis, rankings=rankings_of(diagnosis), moves=moves, covariance=covariance
+    )
 
 
-def coefficient_view(diagnosis: Diagnosis) -> View:
+def coefficient_view(diagnosis: result.Diagnosis) -> result.View:
     """Refit the card's model without any correction of the sensors, and evaluate both models at the recorded rate."""
     last, sensors = diagnosis.aerodynamics, diagnosis.sensors
     before, after = last.base, last.state
     if sensors is not None and sensors.state.active:
         before = refitted(moved(last.base, last.base.full.at_neutral(last.base.theta, sensors.state.active)))
     if set(diagnosis.kept) != set(last.state.active):  # the part of the extension that hold-out data confirm
-        after = refitted(truncated(last.state, diagnosis.kept))
+        after = refitted(selection.truncated(last.state, diagnosis.kept))
     flights = last.state.responses.flights
     signals = before.responses.predict(before.theta)
     channels = {**before.responses.flights.channels, **signals}  # one abscissa for both models
     card, extended = (_fitted(model, signals["measured"], channels) for model in (before, after))
-    return View(
+    return result.View(
         diagnosis=diagnosis,
         card=card,
         extended=extended,
@@ -487,18 +465,18 @@ def coefficient_view(diagnosis: Diagnosis) -> View:
     )
 
 
-def with_stalls(view: View) -> View:
+def with_stalls(view: result.View) -> result.View:
     """The same with the stall of the card's model, and of the extended one where there is one."""
     models, stalls = {"card": view.card, "extended": view.extended} if view.changed else {"card": view.card}, {}
     for name, fitted in models.items():  # parameters are drawn from the normal distribution of their estimates
         model, flights = fitted.state.full.model, fitted.state.responses.flights
-        draws = normal_draws(fitted.state.theta, *covariance_of(fitted), model.free, 0, DRAWS)
+        draws = selection.normal_draws(fitted.state.theta, *covariance_of(fitted), model.free, 0, DRAWS)
         signals = {channel: x for channel, x in fitted.signals.items() if channel not in NOT_SIGNALS}
         stalls[name] = stall_of(model, draws, signals, flights.aircraft)
     return replace(view, stalls=stalls)
 
 
-def _fitted(state: SelectionState, measured: Float[np.ndarray, "n c"], channels: Mapping[str, Any]) -> Fitted:
+def _fitted(state: SelectionState, measured: Float[np.ndarray, "n c"], channels: Mapping[str, Any]) -> result.Fitted:
     """A model evaluated; by coefficient, the mean residual over each recorded channel that makes forces."""
     signals = state.responses.predict(state.theta)
     residual = signals["residual"][:, : len(state.outputs)]
@@ -512,8 +490,8 @@ def _fitted(state: SelectionState, measured: Float[np.ndarray, "n c"], channels:
     manoeuvre, composition = state.responses.flights.manoeuvre, {}
     for c, name in enumerate(state.outputs):
         z, e = measured[:, c], residual[:, c]
-        scores, parts = score(z, z - e), theil_parts(z, z - e)
-        within = {f"{p:g}": np.abs(standard[:, c]) <= stats.norm.ppf(0.5 + p / 2) for p in LEVELS}
+        scores, parts = score(z, z - e), result.theil_parts(z, z - e)
+        within = {f"{p:g}": np.abs(standard[:, c]) <= stats.norm.ppf(0.5 + p / 2) for p in result.LEVELS}
         composition[name] = {
             "r": scores.r,
             "rmse": scores.rmse,
@@ -523,7 +501,7 @@ def _fitted(state: SelectionState, measured: Float[np.ndarray, "n c"], channels:
             "lag1": lag1_within(e, manoeuvre),
             "calibration": {level: float(np.mean(x)) for level, x in within.items()},
         }
-    return Fitted(residual, signals, composition, over, state)
+    return result.Fitted(residual, signals, composition, over, state)
 
 
 BINS = 12
@@ -532,7 +510,7 @@ LEAST = 1e-3  # of the residual's size, that a deviation counts as at least: a s
 
 def profiles(
     residual: Float[np.ndarray, " n"], channels: Mapping[str, np.ndarray], variance_inflation: float
-) -> list[ResidualProfile]:
+) -> list[result.ResidualProfile]:
     """How the residual depends on each channel, the clearest first."""
     dependences, bins = [], max(1, min(BINS, len(residual) // 2))  # of two blocks: they have a deviation
     least = max(LEAST * float(np.sqrt(np.mean(residual**2))), 1e-300)
@@ -542,11 +520,11 @@ def profiles(
             mean, centre = (np.array([y[p].mean() for p in parts]) for y in (residual, x))
             sd = np.array([residual[p].std() * np.sqrt(variance_inflation / len(p)) for p in parts])
             clear = float(np.sum((mean / np.maximum(sd, least)) ** 2))
-            dependences.append((-clear, ResidualProfile(name, centre, mean, sd)))
+            dependences.append((-clear, result.ResidualProfile(name, centre, mean, sd)))
     return [profile for _, profile in sorted(dependences, key=lambda pair: pair[0])]
 
 
-def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
+def _moves(before: result.Fitted, after: result.Fitted) -> dict[str, result.ParameterMove]:
     full, moves, (sd, sd_after) = after.state.full, {}, ({}, {})
     for deviations, fitted in ((sd, before), (sd_after, after)):
         columns, covariance = covariance_of(fitted)
@@ -555,14 +533,14 @@ def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
     for name in (p for e in full.base for p in full.parameters_of(e) if p in sd and p in sd_after):
         (i,) = map(int, full.columns([name]))
         values = float(before.state.theta[i]), float(after.state.theta[i])
-        moves[name] = ParameterMove(*values, sd[name], sd_after[name], full.model.free[i].unit)
+        moves[name] = result.ParameterMove(*values, sd[name], sd_after[name], full.model.free[i].unit)
     return moves
 
 
 # --- The covariance of a fitted model's estimates, with what a diagnosis adds to it for its causes.
 
 
-def covariance_of(model: Fitted | Extension) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+def covariance_of(model: result.Fitted | selection.Extension) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
     """Which parameters were fitted, and the covariance of their estimates that coloured residuals leave."""
     columns = model.state.best.columns
     parameters = np.flatnonzero(columns < len(model.state.theta))
@@ -570,8 +548,8 @@ def covariance_of(model: Fitted | Extension) -> tuple[Int[np.ndarray, " k"], Flo
 
 
 def joint_covariance(
-    model: Fitted | Extension, deviations: Mapping[str, float], causes: Sequence[Cause]
-) -> JointCovariance:
+    model: result.Fitted | selection.Extension, deviations: Mapping[str, float], causes: Sequence[result.Cause]
+) -> result.JointCovariance:
     """Of the extended model's parameters, as standard errors are reported: `deviations`, and those of `causes`."""
     # A parameter may be reported with a larger error than coloured residuals leave: noise of the recorded regressors
     # and the scatter between stretches count, too. What is beyond is independent of the other parameters.
@@ -580,36 +558,42 @@ def joint_covariance(
     reported = dict(deviations) | {name: size.sd for cause in causes for name, size in cause.parameters.items()}
     variance = np.diag(covariance)
     beyond = [max(reported.get(name, 0.0) ** 2 - own, 0.0) for name, own in zip(names, variance, strict=True)]
-    return JointCovariance(names, 0.5 * (covariance + covariance.T) + np.diag(beyond))  # symmetric but for rounding
+    return result.JointCovariance(
+        names, 0.5 * (covariance + covariance.T) + np.diag(beyond)
+    )  # symmetric but for rounding
 
 
 # --- Both models of a diagnosis on each manoeuvre, in the fit and on hold-out data.
 
 
-def holdout_scores(view: View) -> HoldoutScores:
+def holdout_scores(view: result.View) -> result.HoldoutScores:
     """Fit both models again without each fold, and score each manoeuvre by these fits and by those to all data."""
     models = {"card": view.card.state, "extended": view.extended.state}
-    left, state = {name: LeftOut.refitted(one) for name, one in models.items()}, view.extended.state
-    measured, scores, gains = measured_blocks(state), {}, {}
+    left, state = {name: selection.LeftOut.refitted(one) for name, one in models.items()}, view.extended.state
+    measured, scores, gains = selection.measured_blocks(state), {}, {}
     for k, manoeuvre in enumerate(view.names):
         here = (state.responses.manoeuvre == k) & left["extended"].inside
         for model, one in models.items():
             for split, residual in (("fitted", one.residual), ("hold_out", left[model].residual)):
-                scores[model, split, k] = scores_of(state.outputs, measured[here], residual[here])
+                scores[model, split, k] = selection.scores_of(state.outputs, measured[here], residual[here])
         differences = compared(left["card"], left["extended"], state, measured, k)
         gains |= {(manoeuvre, name): gain for name, gain in differences.items()}
-    return HoldoutScores(view.names, scores, gains, state.settings.hold_out)
+    return result.HoldoutScores(view.names, scores, gains, state.settings.hold_out)
 
 
-def with_holdout_scores(view: View) -> View:
+def with_holdout_scores(view: result.View) -> result.View:
     if len(view.names) == 1 or not view.extended.state.active:
         return view
     return replace(view, holdout=holdout_scores(view))
 
 
 def compared(
-    before: LeftOut, after: LeftOut, state: SelectionState, measured: Float[np.ndarray, "m c"], manoeuvre: int
-) -> dict[str, Compared]:
+    before: selection.LeftOut,
+    after: selection.LeftOut,
+    state: SelectionState,
+    measured: Float[np.ndarray, "m c"],
+    manoeuvre: int,
+) -> dict[str, result.Compared]:
     """`after` against `before` on one manoeuvre, by coefficient; its blocks' order and colour are kept."""
     here = (state.responses.manoeuvre == manoeuvre) & before.inside
     density = (after.densities() - before.densities())[here[before.inside]] / state.variance_inflation
@@ -619,14 +603,14 @@ def compared(
     def summed(x: np.ndarray) -> tuple[float, float]:
         return float(x.sum()), standard_error_of_sum(x, [len(x)])
 
-    return {n: Compared(*summed(density[:, c]), *summed(squares[:, c])) for c, n in enumerate(state.outputs)}
+    return {n: result.Compared(*summed(density[:, c]), *summed(squares[:, c])) for c, n in enumerate(state.outputs)}
 
 
 # --- The candidates of every stage in the order of their scores, as tables and figures show them.
 
 
-def rankings_of(diagnosis: Diagnosis) -> tuple[Ranking, ...]:
-    rankings, stages = [], {FLIGHT_PATH: diagnosis.sensors, diagnosis.compared: diagnosis.aerodynamics}
+def rankings_of(diagnosis: result.Diagnosis) -> tuple[result.Ranking, ...]:
+    rankings, stages = [], {result.FLIGHT_PATH: diagnosis.sensors, diagnosis.compared: diagnosis.aerodynamics}
     for stage, extension in ((stage, x) for stage, x in stages.items() if x is not None and x.steps):
         screening, base, ranked = extension.steps[0].screening, extension.base, {}
         effects = {e.name: e for e in base.full.model.effects}
@@ -634,10 +618,12 @@ def rankings_of(diagnosis: Diagnosis) -> tuple[Ranking, ...]:
             effect, at = effects[s.effect], base.theta[base.full.own_columns(s.effect)]
             steps = zip(effect.parameters, at, s.step, s.sd, strict=False)
             sizes, p_value = {p.name: (float(x + d), sd) for p, x, d, sd in steps}, screening.p_value(s.score)
-            ranked[s.effect] = RankedCandidate(s.effect, effect.kind.value, s.score, p_value, explained(base, s), sizes)
+            ranked[s.effect] = result.RankedCandidate(
+                s.effect, effect.kind.value, s.score, p_value, selection.explained(base, s), sizes
+            )
         level = extension.state.settings.false_alarm_rate
         leaders = tuple(sorted(ranked.values(), key=lambda s: -s.score))
-        rankings.append(Ranking(stage, leaders, screening.threshold(level), level))
+        rankings.append(result.Ranking(stage, leaders, screening.threshold(level), level))
     return tuple(rankings)
 
 
@@ -650,9 +636,9 @@ POWER, BEYOND = 0.95, 2.0  # share of the rates' power below a frequency, and ho
 HIGHEST, SMOOTHED = 0.5, 0.1  # Hz to which it reaches at least; share of the sampling rate that the filters pass
 
 
-def causes_in_band(diagnosis: Diagnosis) -> CausesInBand | None:
+def causes_in_band(diagnosis: result.Diagnosis) -> result.CausesInBand | None:
     """Fit the causes of a diagnosis in a band; None where there are none."""
-    wanted = {p: c for c in diagnosis.causes if c.stage == COEFFICIENTS for p in c.parameters}
+    wanted = {p: c for c in diagnosis.causes if c.stage == result.COEFFICIENTS for p in c.parameters}
     if not (diagnosis.by_coefficients and wanted):
         return None
     state = diagnosis.aerodynamics.state
@@ -663,7 +649,7 @@ def causes_in_band(diagnosis: Diagnosis) -> CausesInBand | None:
     responses = FrequencyError.in_band(flights, model, band)
     fit = without_noise_bias_in_band(fit_in_band(responses, model.free, start, band), responses, model.free)
     if not fit.converged:
-        return CausesInBand(band, (), tuple(wanted), converged=False)
+        return result.CausesInBand(band, (), tuple(wanted), converged=False)
     shared = _shared(fit, state, model.names)
     sizes = []
     for name, cause in wanted.items():
@@ -673,8 +659,8 @@ def causes_in_band(diagnosis: Diagnosis) -> CausesInBand | None:
             # Of an estimate and one that rests on a part of its data, as `beside_time_domain` has it.
             least = max(abs(sd**2 - size.sd**2), MIN_SHARE * sd**2)
             apart = abs(x - size.mean) / float(np.sqrt(max(size.sd**2 + sd**2 - 2.0 * shared[k], least)))
-            sizes.append(SizeInBand(cause.name, name, size.unit, (x, sd), (size.mean, size.sd), apart))
-    return CausesInBand(band, tuple(sizes), tuple(n for n in wanted if n not in fit.names), converged=True)
+            sizes.append(result.SizeInBand(cause.name, name, size.unit, (x, sd), (size.mean, size.sd), apart))
+    return result.CausesInBand(band, tuple(sizes), tuple(n for n in wanted if n not in fit.names), converged=True)
 
 
 def with_sensor_errors_held(state: SelectionState) -> tuple[Model, Float[np.ndarray, " k"]]:

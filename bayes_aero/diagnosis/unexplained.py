@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc
 
+from bayes_aero.diagnosis import screening
 from bayes_aero.diagnosis.components import (
     SAME,
     SEPARATED,
@@ -38,19 +39,6 @@ from bayes_aero.diagnosis.components import (
     testable,
 )
 from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm, Size, UnexplainedStructure
-from bayes_aero.diagnosis.screening import (
-    CandidateScore,
-    PartialledRegression,
-    SharedNoise,
-    autocorrelation_of,
-    chance_of,
-    inflation_along,
-    jackknife_errors,
-    jackknife_p_value,
-    null_shares,
-    screen,
-    uncertainty,
-)
 from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed, truncated
 from bayes_aero.diagnosis.selection_state import (
     Component,
@@ -122,12 +110,12 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
     for name in (n for n in state.apart if n not in idle):
         fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
         less, fit = fewer.best, state.best
-        ranking = screen(fewer).candidate_scores
+        ranking = screening.screen(fewer).candidate_scores
         gain = less.deviance - fit.deviance
         rivals = [s.effect for s in ranking if nats(gain - s.gain, state.variance_inflation) < state.settings.ambiguous]
         at = fit.places(constants_of(state, name))
         from_first = np.eye(len(at))[1:] - np.eye(len(at))[0]
-        covariance = uncertainty(state)[np.ix_(at, at)]
+        covariance = screening.uncertainty(state)[np.ix_(at, at)]
         size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
         p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
         if p > state.settings.block_false_alarm_rate:
@@ -189,8 +177,8 @@ def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) ->
         batches, leaders = in_batches(state, components, folds), list[tuple[float, Component]]()
         for batch in batches:
             trials, by_label = state.with_components(batch, chosen, folds), {c.label: c for c in batch}
-            scores = screen(
-                trials, noise=SharedNoise(seed, trials.folds, len(trials.outputs), trials.settings)
+            scores = screening.screen(
+                trials, noise=screening.SharedNoise(seed, trials.folds, len(trials.outputs), trials.settings)
             ).candidate_scores[:tried]
             leaders += [(standing.score, by_label[standing.effect]) for standing in scores]
         for _, component in sorted(leaders, key=lambda leader: -leader[0])[:tried]:
@@ -295,8 +283,8 @@ def terms_of_coefficient(
             break
         own = trial.component_columns[trial.components.index(best.column.component)]
         wider = trial.fit(trial.wider(own))
-        colour = autocorrelation_of(trial.left(wider), trial.folds)
-        p = chance_of(best.share, null_shares(trial, colour, wider.variance, seed + number))
+        colour = screening.autocorrelation_of(trial.left(wider), trial.folds)
+        p = screening.chance_of(best.share, screening.null_shares(trial, colour, wider.variance, seed + number))
         if p > settings.unnamed_false_alarm_rate:
             break
         terms.append(replace(best, p_value=p))
@@ -332,17 +320,20 @@ def leader(
     rest = [c for c in columns if c.component.label not in labels]
     trial = state.with_components([c.component for c in rest], [c.component for c in chosen])
     fit = trial.best
-    projected, n = PartialledRegression(trial, fit, trial.component_columns), float(trial.products.count.sum())
+    projected, n = (
+        screening.PartialledRegression(trial, fit, trial.component_columns),
+        float(trial.products.count.sum()),
+    )
     place, bread = np.array([p[0] for p in projected.place]), np.array([b[0, 0] for b in projected.bread])
     right = projected.right(trial.left())[place]
     gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
     order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
     best = trial.fit(trial.wider(trial.component_columns[order[0]]))
-    colour = autocorrelation_of(trial.left(best), trial.folds)
+    colour = screening.autocorrelation_of(trial.left(best), trial.folds)
     # Two terms are told from each other by the residual along the difference of what they explain.
     made = projected.P[:, :, place[order]] * (bread * right)[order]
     apart = np.concatenate([made[:, :, :1], made[:, :, :1] - made[:, :, 1:]], axis=2)
-    along = inflation_along(apart, projected.weight, trial.folds, colour)
+    along = screening.inflation_along(apart, projected.weight, trial.folds, colour)
     lost = np.array([0.0, *map(nats, gains[order[0]] - gains[order[1:]], along[1:])])
     weights = weights_of(lost, [rest[j].term.cost for j in order])
     equal = [i for i in range(len(order)) if lost[i] < state.settings.ambiguous]
@@ -367,8 +358,8 @@ def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.
 def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[FoundTerm, ...]:
     """All terms fitted together, beside the parameters of the model."""
     whole = state.with_components((), components_of(terms))
-    fit, errors = whole.best, jackknife_errors(whole, state.responses.parts)
-    deviation = np.maximum(np.sqrt(np.diag(uncertainty(whole))), errors)
+    fit, errors = whole.best, screening.jackknife_errors(whole, state.responses.parts)
+    deviation = np.maximum(np.sqrt(np.diag(screening.uncertainty(whole))), errors)
     own, sizes = slice(len(fit.columns) - len(terms), None), []
     for term, size, sd in zip(terms, fit.step[own], deviation[own], strict=True):
         column, coefficient = term.column, term.column.component.coefficient
@@ -403,12 +394,12 @@ def _next(
     state: SelectionState, library: Sequence[Sequence[TermColumn]], terms: Sequence[SelectedTerm], seed: int
 ) -> SelectedTerm | None:
     """The best term beside those found; None where none is beyond chance, large enough and useful."""
-    settings, noise = state.settings, SharedNoise(seed, state.folds, len(state.outputs), state.settings)
+    settings, noise = state.settings, screening.SharedNoise(seed, state.folds, len(state.outputs), state.settings)
     chosen, among, leaders, gains = components_of(terms), 0, [], []
     for columns in library:
         left = {c.component.label: c for c in columns if c not in [term.column for term in terms]}
         trial = state.with_components([c.component for c in left.values()], chosen)
-        scores = screen(trial, noise=noise).candidate_scores
+        scores = screening.screen(trial, noise=noise).candidate_scores
         among, gains = among + len(left), [*gains, *((left[s.effect], s.gain) for s in scores)]
         leaders += [(s, left[s.effect], trial) for s in scores[: settings.candidates_tried]]
     for standing, column, trial in sorted(leaders, key=lambda leader: -leader[0].score):
@@ -418,7 +409,7 @@ def _next(
     return None
 
 
-def _chance(trial: SelectionState, standing: CandidateScore, among: int) -> float:
+def _chance(trial: SelectionState, standing: screening.CandidateScore, among: int) -> float:
     """The chance that noise lets some of `among` terms look as good; 1 where it is too small or predicts nothing."""
     settings, own = trial.settings, np.array(standing.columns, int)
     alone = len(trial.responses.flights.lengths) == 1
@@ -432,7 +423,7 @@ def _chance(trial: SelectionState, standing: CandidateScore, among: int) -> floa
     # of the filter is right. So it is how far the estimate moves without each part of the flights, Bonferroni over the
     # library.
     wider = trial.fit(wide)
-    return jackknife_p_value(trial, wider, own, wider.step[-1:], among)
+    return screening.jackknife_p_value(trial, wider, own, wider.step[-1:], among)
 
 
 def _weighed(
@@ -446,9 +437,9 @@ def _weighed(
     best = next(gain for column, gain in gains if column is first)
     near = sorted(((c, x) for c, x in gains if x >= NEAR * best), key=lambda pair: pair[0] is not first)
     trial = state.with_components([c.component for c, _ in near], chosen)
-    colour = autocorrelation_of(trial.left(trial.fit(trial.wider(trial.component_columns[0]))), trial.folds)
+    colour = screening.autocorrelation_of(trial.left(trial.fit(trial.wider(trial.component_columns[0]))), trial.folds)
     # What tells two of them apart is the residual along the difference of what they explain.
-    projected, residual = PartialledRegression(trial, trial.best, trial.component_columns), trial.left()
+    projected, residual = screening.PartialledRegression(trial, trial.best, trial.component_columns), trial.left()
     apart = projected.apart(residual, projected.estimates(residual), 0, colour, trial.responses.parts)
     lost = np.array([nats(best - gain, x) for (_, gain), x in zip(near, apart, strict=True)])
     lost -= lost.min()
@@ -457,7 +448,7 @@ def _weighed(
     rivals = sorted([(near[i][0], float(weights[i])) for i in close], key=lambda rival: -rival[1])
     (column, weight), of = rivals[0], rivals[0][0].component.coefficient
     trial = Trial(state, column.component, chosen)
-    standing = screen(trial.state).candidate_scores[0]
+    standing = screening.screen(trial.state).candidate_scores[0]
     others = tuple((rival.term, x) for rival, x in rivals[1:] if rival.component.coefficient == of)
     elsewhere = tuple(c.component.label for c, _ in rivals if c.component.coefficient != of)
     inflation = standing.variance_inflation
@@ -529,8 +520,8 @@ class _Model:
         state, fits, lefts = self.state, (self.fitted[0], other.fitted[0]), (self.fitted[1], other.fitted[1])
         better = int(fits[1].deviance < fits[0].deviance)
         D, weight = np.where(state.inside[:, None], lefts[0] - lefts[1], 0.0)[:, :, None], 1.0 / fits[better].variance
-        colour, left = autocorrelation_of(lefts[better], state.folds), (lefts[better], state.responses.parts)
-        (inflation,) = inflation_along(D, weight, state.folds, colour, left)
+        colour, left = screening.autocorrelation_of(lefts[better], state.folds), (lefts[better], state.responses.parts)
+        (inflation,) = screening.inflation_along(D, weight, state.folds, colour, left)
         return nats(fits[1].deviance - fits[0].deviance, float(inflation)) - self.cost + other.cost
 
     def degrades(self, other: _Model) -> bool:
@@ -776,7 +767,7 @@ def _sizes_beside(model: _Model, causes: Sequence[str]) -> dict[str, Size]:
     """Parameters of causes beside terms and polynomials, to first order."""
     wide = model.wide
     fit, free = wide.best, wide.full.model.free
-    sds = np.sqrt(np.diag(uncertainty(wide)))
+    sds = np.sqrt(np.diag(screening.uncertainty(wide)))
     step, sd = (dict(zip(fit.columns, x, strict=True)) for x in (fit.step, sds))
     own = [int(column) for column in wide.full.own_columns(*causes) if column in step]
     return {

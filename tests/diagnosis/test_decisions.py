@@ -199,8 +199,9 @@ def stated(monkeypatch):
             "gains_of": {}, "rival_gains": {}, "noise_shares": dict.fromkeys(CATALOGUE, 0.0),
         }.items():  # fmt: skip
             given = values.get(name, value)
-            monkeypatch.setattr(decided, name, given if callable(given) else lambda *_, given=given, **__: given)
-        monkeypatch.setattr(decided, "confirmation", lambda _: values["confirmation"])
+            where = decided if hasattr(decided, name) else selecting
+            monkeypatch.setattr(where, name, given if callable(given) else lambda *_, given=given, **__: given)
+        monkeypatch.setattr(selecting, "confirmation", lambda _: values["confirmation"])
 
     return state
 
@@ -209,7 +210,7 @@ def decided_on(stated, diagnosed, forms=None, **values):
     """A cause that held-out flights miss, kept by stage, a diagnosis of it alone, and what is said of it."""
     values = {"gains_of": {"thrust_scale": cause().gain}} | values
     stated(confirmation=Confirmation(("thrust_scale",), {"thrust_scale": (40.0, 5.0)}), **values)
-    ((found,), kept, _) = decided._confirmed(searched("thrust_scale", forms=forms), None)
+    ((found,), kept, _) = decided._confirmed(searched("thrust_scale", forms=forms), lambda *_: None)
     d = replace(diagnosed.view.diagnosis, causes=(found,), beyond=())
     return found, kept, d, next(s for s in diagnosis_sentences(d) if s.startswith("thrust_scale: "))
 

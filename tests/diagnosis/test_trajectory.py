@@ -278,7 +278,8 @@ def test_a_lag_whose_fit_breaks_down_is_a_failure_and_not_no_lag(monkeypatch, br
         "without_lags": None, "_first_state": None, "plausible_selection": "without a lag", "lacking": (),
         "too_few_windows": "",
     }.items():  # fmt: skip
-        monkeypatch.setattr(searches, name, lambda *_, given=given, **__: given)
+        where = next(m for m in (searches, searches.selection, searches.selection_state) if hasattr(m, name))
+        monkeypatch.setattr(where, name, lambda *_, given=given, **__: given)
 
     def ended(_, found, *rest):
         raise SearchedError(found, rest[-1])
