@@ -549,7 +549,7 @@ def covariance_of(model: result.Fitted | selection.Extension) -> tuple[Int[np.nd
 
 def joint_covariance(
     model: result.Fitted | selection.Extension, deviations: Mapping[str, float], causes: Sequence[result.Cause]
-) -> result.JointCovariance:
+) -> tuple[tuple[str, ...], Float[np.ndarray, "k k"]]:
     """Of the extended model's parameters, as standard errors are reported: `deviations`, and those of `causes`."""
     # A parameter may be reported with a larger error than coloured residuals leave: noise of the recorded regressors
     # and the scatter between stretches count, too. What is beyond is independent of the other parameters.
@@ -558,9 +558,7 @@ def joint_covariance(
     reported = dict(deviations) | {name: size.sd for cause in causes for name, size in cause.parameters.items()}
     variance = np.diag(covariance)
     beyond = [max(reported.get(name, 0.0) ** 2 - own, 0.0) for name, own in zip(names, variance, strict=True)]
-    return result.JointCovariance(
-        names, 0.5 * (covariance + covariance.T) + np.diag(beyond)
-    )  # symmetric but for rounding
+    return names, 0.5 * (covariance + covariance.T) + np.diag(beyond)  # symmetric but for rounding
 
 
 # --- Both models of a diagnosis on each manoeuvre, in the fit and on hold-out data.

@@ -623,14 +623,6 @@ class ParameterMove:
 
 
 @dataclass(frozen=True)
-class JointCovariance:
-    """Covariance (k, k) of the extended model's estimates, SI, for coloured residuals; `names` (k) are its rows."""
-
-    names: tuple[str, ...]
-    matrix: Float[np.ndarray, "k k"]
-
-
-@dataclass(frozen=True)
 class RankedCandidate:
     """One candidate of a stage's first screening, at its best value."""
 
@@ -690,7 +682,8 @@ class DiagnosisView:
     diagnosis: Diagnosis
     rankings: tuple[Ranking, ...]
     moves: Mapping[str, ParameterMove]
-    covariance: JointCovariance | None = None
+    # Names (k) and covariance (k, k) of the extended model's estimates, SI, for coloured residuals.
+    covariance: tuple[tuple[str, ...], Float[np.ndarray, "k k"]] | None = None
     trajectories: Trajectories | None = None
 
     @property

@@ -528,6 +528,38 @@ class _Model:
         before, after = (LeftOut.first_order(one.wide, one.state.active) for one in (other, self))
         return self.state.settings.degrades(*after.gain(before))
 
+    def curved(self, curves: Sequence[Component]) -> _Model:
+        """With each function that earns its cost."""
+        model = self
+        for curve in curves:
+            wider = replace(model, functions=(*model.functions, curve))
+            model = wider if wider.beyond(model) > 0.0 else model
+        return model
+
+    def refitted(self) -> _Model:
+        return replace(self, state=moved(self.state, optimum(self.wide, range(len(self.state.folds)))))
+
+    def eliminated(self, items: Sequence[str], curves: Sequence[Component]) -> _Model:
+        """Without what does not earn its cost, the least useful first; functions may take the place of causes."""
+        model = self
+        while True:
+            inside = [item for item in items if item in (*model.state.active, *model.state.apart)]
+            trials = [model.less(item) for item in (*inside, *model.terms)]
+            rivals = [replace(x, functions=tuple(curves)) for x in trials[: len(inside)]] + trials[len(inside) :]
+            gains = [rival.beyond(model) for rival in rivals]
+            if not gains or max(gains) <= 0.0:
+                return model.curved(curves)
+            best = trials[int(np.argmax(gains))]
+            model = best if best.state is model.state else best.refitted()
+
+    def with_terms_for(self, name: str) -> _Model:
+        """With terms, and functions, in place of one cause."""
+        state = _without(self.state, [name], self.state.apart)
+        reached = _reached(state, self.state, ())
+        terms = tuple(_beside(state, reached, self.terms, [name], self.state))
+        curves = [curve for coefficient in reached for curve in polynomials(state, coefficient)]
+        return _Model(state, terms, self.functions).curved(curves)
+
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     """Terms for all structure that is `left`; periods have none."""
@@ -615,11 +647,16 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
         models += [_Model(_without(state, out, state.apart), more)] if more else []
     curves = [one for coefficient in reached for one in polynomials(named_only, coefficient)]
     bare = [replace(model, state=_without(model.state, rest, ())) for model in models]
-    wholes, items = [_fitted(_curved(model, curves)) for model in bare], [*rest, *state.apart]
-    tried = [_eliminated(model, items, whole.functions) for model, whole in zip(models, wholes, strict=True)]
+    wholes, items = [model.curved(curves).refitted() for model in bare], [*rest, *state.apart]
+    tried = [model.eliminated(items, whole.functions) for model, whole in zip(models, wholes, strict=True)]
     best = _best_model(start, tried)
     if best is start:
-        tried.append(_eliminated(_one_by_one(start, rest), items, curves))
+        model, better = start, [(0.0, start)]
+        while better:  # terms in place of one cause after another, as long as they are decisively better
+            model = max(better, key=lambda pair: pair[0])[1]
+            others = [model.with_terms_for(name) for name in rest if name in model.state.active]
+            better = [(x, other) for other in others if (x := other.beyond(model)) > state.settings.decisive]
+        tried.append(model.eliminated(items, curves))
         best = _best_model(start, tried)
     idle = _idle(replace(best, functions=()), curves)
     rivals = _rivals(best, [name for name in rest if name in best.state.active], [*wholes, *tried])
@@ -678,41 +715,15 @@ def _beside(
     return terms
 
 
-def _curved(model: _Model, curves: Sequence[Component]) -> _Model:
-    for curve in curves:
-        wider = replace(model, functions=(*model.functions, curve))
-        model = wider if wider.beyond(model) > 0.0 else model
-    return model
-
-
 def _idle(model: _Model, curves: Sequence[Component]) -> dict[str, Component]:
     """Coefficients whose offsets a polynomial explains as well, and that."""
     explained, least = dict[str, Component](), -model.state.settings.ambiguous
     for name in model.state.apart:
         bare = model.less(name)
-        gains = [(_fitted(bare, (f,)).beyond(model), f) for f in curves if f.coefficient == name]
+        gains = [(replace(bare, functions=(f,)).refitted().beyond(model), f) for f in curves if f.coefficient == name]
         gain, best = max(gains, key=lambda pair: pair[0])
         explained |= {name: best} if gain > least else {}
     return explained
-
-
-def _eliminated(model: _Model, items: Sequence[str], curves: Sequence[Component]) -> _Model:
-    """Without what does not earn its cost, the least useful first; functions may take the place of causes."""
-    while True:
-        inside = [item for item in items if item in (*model.state.active, *model.state.apart)]
-        trials = [model.less(item) for item in (*inside, *model.terms)]
-        rivals = [replace(trial, functions=tuple(curves)) for trial in trials[: len(inside)]] + trials[len(inside) :]
-        gains = [rival.beyond(model) for rival in rivals]
-        if not gains or max(gains) <= 0.0:
-            return _curved(model, curves)
-        best = trials[int(np.argmax(gains))]
-        model = best if best.state is model.state else _fitted(best)
-
-
-def _fitted(model: _Model, functions: tuple[Component, ...] | None = None) -> _Model:
-    """At its optimum, with other functions beside."""
-    model = model if functions is None else replace(model, functions=functions)
-    return replace(model, state=moved(model.state, optimum(model.wide, range(len(model.state.folds)))))
 
 
 def _best_model(start: _Model, models: Sequence[_Model]) -> _Model:
@@ -730,29 +741,10 @@ def _best_model(start: _Model, models: Sequence[_Model]) -> _Model:
     return max(filter(able, models), key=lambda model: model.beyond(start), default=start)
 
 
-def _less_one(best: _Model, name: str) -> _Model:
-    """With terms, and functions, in place of one cause."""
-    state = _without(best.state, [name], best.state.apart)
-    reached = _reached(state, best.state, ())
-    terms = tuple(_beside(state, reached, best.terms, [name], best.state))
-    curves = [one for coefficient in reached for one in polynomials(state, coefficient)]
-    return _curved(_Model(state, terms, best.functions), curves)
-
-
-def _one_by_one(model: _Model, causes: Sequence[str]) -> _Model:
-    """With terms in place of one cause after another, as long as they are decisively better."""
-    while True:
-        others = [_less_one(model, name) for name in causes if name in model.state.active]
-        better = [(gain, other) for other in others if (gain := other.beyond(model)) > model.state.settings.decisive]
-        if not better:
-            return model
-        model = max(better, key=lambda pair: pair[0])[1]
-
-
 def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> dict[str, tuple[str, float]]:
     """Forms of `others`, or in place of one cause, that explain as well as causes, and by how many nats less."""
     settings, rivals = best.state.settings, dict[str, tuple[str, float]]()
-    for other in (*others, *(_less_one(best, name) for name in causes)):
+    for other in (*others, *(best.with_terms_for(name) for name in causes)):
         gone = [name for name in causes if name not in other.state.active]
         had = {one.label for one in best.components}
         labels = [one.label for one in other.components if one.label not in had]
