@@ -33,15 +33,7 @@ from bayes_aero.diagnosis.selection_state import (
     lag_of,
     quiet,
 )
-from bayes_aero.dynamics.flight import (
-    AircraftDynamics,
-    Dynamics,
-    PathDynamics,
-    aircraft_dynamics,
-    biased_dynamics,
-    unbiased,
-    with_biases_of,
-)
+from bayes_aero.dynamics import flight
 from bayes_aero.dynamics.innovations import neighbour_correlation, prediction_errors
 from bayes_aero.dynamics.kalman import smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
@@ -141,7 +133,7 @@ def fly_given(
     flights: Flights, model: Model, values: Mapping[str, float], tolerances: Mapping[str, float]
 ) -> tuple[result.SimulatedManoeuvre, ...]:
     """Every manoeuvre from its measured initial state, with `values` (SI) of parameters; nothing is fitted."""
-    dynamics = aircraft_dynamics(model, flights)
+    dynamics = flight.aircraft_dynamics(model, flights)
     theta = np.array([values.get(p.name, p.start) for p in dynamics.free])
     whole = segments(flights, dynamics, substeps=dynamics.substeps(theta, flights))
     still = np.zeros((len(whole.index), len(dynamics.start)))
@@ -357,8 +349,8 @@ def with_lag(
         replace(p, bounds=(max(neutral[p.name], p.bounds[0]), p.bounds[1])) if p.name in neutral else p
         for p in model.parameters
     ]
-    dynamics = aircraft_dynamics(replace(model, parameters=tuple(bounded)), flights)
-    dynamics = with_biases_of(extended.fit.flown.dynamics, dynamics)
+    dynamics = flight.aircraft_dynamics(replace(model, parameters=tuple(bounded)), flights)
+    dynamics = flight.with_biases_of(extended.fit.flown.dynamics, dynamics)
     fitted = dict(zip(extended.fit.names, map(float, extended.fit.estimate), strict=True))
     start = np.array([fitted.get(p.name, p.start) for p in dynamics.free])
     whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))
@@ -630,7 +622,7 @@ Side = tuple[list[SegmentTrajectories], Vector]
 
 
 def _side(flights: Flights, biases: Mapping[str, Prior] | None, model: Model, values: Mapping[str, float]) -> Side:
-    dynamics = biased_dynamics(aircraft_dynamics(model, flights), flights, biases or {})
+    dynamics = flight.biased_dynamics(flight.aircraft_dynamics(model, flights), flights, biases or {})
     start = np.array([values.get(p.name, p.start) for p in dynamics.free])
     outputs = tuple(n for n in dynamics.outputs if n in flights.channels and n not in LEFT)
     half = 0.5 * flights.lengths[0] * float(flights.channels["dt"][0]) if len(flights.lengths) == 1 else None
@@ -654,7 +646,7 @@ def _extended(whole: Model, effects: Sequence) -> Model:
 @blas_threads(0)
 def fit_trajectories(
     flights: Flights,
-    dynamics: Dynamics,
+    dynamics: flight.Dynamics,
     units: Mapping[str, str],
     *,
     starts: Sequence[Vector] = (),
@@ -666,8 +658,8 @@ def fit_trajectories(
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
     by the one and its samples by the other."""
     tell = progress or quiet
-    by_effects = isinstance(unbiased(dynamics), AircraftDynamics)
-    dynamics = biased_dynamics(dynamics, flights, setting.biases)
+    by_effects = isinstance(flight.unbiased(dynamics), flight.AircraftDynamics)
+    dynamics = flight.biased_dynamics(dynamics, flights, setting.biases)
     first = np.array([p.start for p in dynamics.free])
     starts = [np.append(s, first[len(s) :]) for s in starts]
     shown = tuple(name for name in dynamics.outputs if name in flights.channels)
@@ -677,7 +669,7 @@ def fit_trajectories(
     whole = segments(flights, dynamics, fixed=setting.initial, **options)
     stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
     tell("windows, then whole manoeuvres", 0.0)
-    without = () if setting.priors else unbiased(dynamics).names
+    without = () if setting.priors else flight.unbiased(dynamics).names
     fit = output_error.fit_cascade(stages, [first, *starts], prior_weight=FIRST_INFLATION, without=without)
     if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
         again = {"departure": fit.departure, "prior_weight": FIRST_INFLATION, "without": without}
@@ -697,7 +689,7 @@ def fit_trajectories(
     prior_sd = dict(begins) if setting.priors and setting.initial is None else {}
     return result.TrajectoryFit(
         fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), noise_growth, setting,
-        by_effects=by_effects, of_path=isinstance(dynamics, PathDynamics), departure_sd=prior_sd,
+        by_effects=by_effects, of_path=isinstance(dynamics, flight.PathDynamics), departure_sd=prior_sd,
     )  # fmt: skip
 
 
@@ -807,7 +799,7 @@ def flown_modes(
 ) -> tuple[result.FlownMode, ...]:
     """The modes of a model whose fit converged, about `steady` flight; with the estimates of `filtered` in place of
     those of `fit`. Raises `InputError` where there is no such flight, or the model has no motion of its own."""
-    dynamics, aircraft = unbiased(fit.flown.dynamics), fit.flown.flights.aircraft
+    dynamics, aircraft = flight.unbiased(fit.flown.dynamics), fit.flown.flights.aircraft
     count = len(dynamics.free)
     theta, covariance = np.asarray(fit.estimate[:count]), np.asarray(fit.corrected)[:count, :count]
     unknown = [k for k, p in enumerate(fit.parameters[:count]) if p.name in fit.undetermined]

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import nnls
 
+from bayes_aero import qualification
 from bayes_aero.diagnosis.design import Information, best_points, noise_of, possible_points, refused_points, variants_of
 from bayes_aero.diagnosis.selection_state import CandidateModel, linearised, quiet
 from bayes_aero.diagnosis.trajectories import CandidateFit, FlightNoise, label, left_out, masked, posterior_draws
@@ -36,19 +37,6 @@ from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Envelope, required_of
 from bayes_aero.processes import cores
 from bayes_aero.progress import Progress
-from bayes_aero.qualification import (
-    FAILS_TO,
-    PASSES_FROM,
-    Chance,
-    FlightKind,
-    Further,
-    OpenTolerance,
-    Outside,
-    RecordBeside,
-    Strip,
-    Test,
-    ToleranceVerdict,
-)
 from bayes_aero.residuals.equation_error import EquationError
 
 Vector = Float[np.ndarray, " k"]
@@ -249,7 +237,7 @@ class Uncertain:
 class OpenTest:
     """An undecided test: what drawn parameters and all else add to each of m flights at n samples, SI."""
 
-    kind: FlightKind
+    kind: qualification.FlightKind
     manoeuvre: str
     output: str
     tolerance: float
@@ -265,7 +253,7 @@ class OpenTest:
     def worst(self) -> int:
         """The sample that most often leaves the band."""
         total = np.nan_to_num(self.by_parameters + self.by_all_else, nan=np.inf)
-        return int(np.argmax(np.quantile(np.abs(total), PASSES_FROM, axis=0)))
+        return int(np.argmax(np.quantile(np.abs(total), qualification.PASSES_FROM, axis=0)))
 
     def probability(self, change: Float[np.ndarray, "m n"] | float = 0.0) -> float:
         """To pass, where the part by the parameters changes by this."""
@@ -276,13 +264,13 @@ class OpenTest:
 class QualifiedFlights(NamedTuple):
     """`scattered`: whether the next flight has the scatter of the parameters; `undecided`: left open by them."""
 
-    tests: tuple[Test, ...]
-    strips: tuple[Strip, ...]
+    tests: tuple[qualification.Test, ...]
+    strips: tuple[qualification.Strip, ...]
     scattered: bool | None
     undecided: tuple[OpenTest, ...]
 
 
-_Case = tuple[FlightKind, SegmentTrajectories, int, Float[np.ndarray, "m k"], Structure]
+_Case = tuple[qualification.FlightKind, SegmentTrajectories, int, Float[np.ndarray, "m k"], Structure]
 """A manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain."""
 
 
@@ -296,7 +284,7 @@ def qualify(
     progress: Progress | None = None,
 ) -> QualifiedFlights:
     """Every test of every manoeuvre, fitted (`flown`) or not (`tests`); `bands`: half widths by output, SI."""
-    cases, judged, strips = _cases(flown, tests, unknown, seed), list[Test](), list[Strip]()
+    cases, judged, strips = _cases(flown, tests, unknown, seed), list[qualification.Test](), list[qualification.Strip]()
     undecided, scattered = list[OpenTest](), None
     for number, case in enumerate(cases):
         (progress or quiet)("flights", number / len(cases))
@@ -304,7 +292,7 @@ def qualify(
         judged += results
         strips.append(strip)
         undecided += still if case[3] is unknown.draws else []
-        if case[0] is FlightKind.NEXT:
+        if case[0] is qualification.FlightKind.NEXT:
             scattered = case[3] is unknown.following
     return QualifiedFlights(tuple(judged), tuple(strips), scattered, tuple(undecided))
 
@@ -339,10 +327,12 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), taken)
 
     again = structure(fitted, own)
-    cases: list[_Case] = [(FlightKind.AGAIN, flown, k, unknown.draws, again) for k in range(len(flown.index))]
+    cases: list[_Case] = [
+        (qualification.FlightKind.AGAIN, flown, k, unknown.draws, again) for k in range(len(flown.index))
+    ]
     left_out = structure(held.errors, held.explained)
     if tests is not None:
-        cases += [(FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
+        cases += [(qualification.FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
     if unknown.following is None and unknown.hold_out is None:
         return cases
     draws, ahead = unknown.draws, left_out
@@ -351,13 +341,13 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         shown = np.mean(held.errors[flown.inside] ** 2, axis=0)
         if np.median(scatter / np.maximum(shown, 1e-300)) <= 1.0 or unknown.hold_out is None:
             draws, ahead = unknown.following, structure(held.errors, scatter)
-    cases += [(FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
+    cases += [(qualification.FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
     return cases
 
 
 def _judged(
     case: _Case, unknown: Uncertain, bands: Mapping[str, float], rng: np.random.Generator
-) -> tuple[list[Test], Strip, list[OpenTest]]:
+) -> tuple[list[qualification.Test], qualification.Strip, list[OpenTest]]:
     """Probabilities with more and more counted, the band of flights with all of it, and what is undecided."""
     kind, flown, row, draws, structure = case
     alone = flown.part([row])
@@ -372,21 +362,21 @@ def _judged(
     chances, limits = {}, np.array([bands[n] for n in outputs])
     for counted in ("parameters", "structure", *(("gusts",) if unknown.gusts else ())):
         if counted == "structure":
-            recorded = error if kind is FlightKind.AGAIN else None
+            recorded = error if kind is qualification.FlightKind.AGAIN else None
             flights = flights + structure.draws(len(flights), separated, dt, rng, recorded)
         if counted == "gusts":
             flights = flights + gust_spread(alone, draws, unknown.gusts, rng)
         inside = np.abs(np.nan_to_num(flights[:, keep], nan=np.inf)) <= limits
         passed = np.all(inside, axis=1).sum(axis=0)
-        chances[counted] = [Chance.of(int(k), len(flights)) for k in passed]
+        chances[counted] = [qualification.Chance.of(int(k), len(flights)) for k in passed]
     size, tests, still = np.abs(error[keep]), [], []
     rest = np.nan_to_num(flights - by_parameters, nan=np.inf)
     for c, output in enumerate(outputs):
-        beside = RecordBeside(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
+        beside = qualification.RecordBeside(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
         by = {counted: each[c] for counted, each in chances.items()}
-        shown = None if kind is FlightKind.NEXT else beside
-        tests.append(Test(kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
-        if tests[-1].chance.verdict is ToleranceVerdict.UNDECIDED:
+        shown = None if kind is qualification.FlightKind.NEXT else beside
+        tests.append(qualification.Test(kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
+        if tests[-1].chance.verdict is qualification.ToleranceVerdict.UNDECIDED:
             parts = by_parameters[:, keep, c], rest[:, keep, c]
             still.append(OpenTest(kind, name, output, bands[output], *parts))
     record, index = alone.flights, alone.index[0][keep]
@@ -394,7 +384,7 @@ def _judged(
     simulated = {n: measured[n] - error[keep, c] for c, n in enumerate(outputs)}
     ends = np.quantile(np.nan_to_num(flights[:, keep], posinf=FAR, neginf=-FAR), CENTRAL, axis=0)
     low, high = ({n: simulated[n] + x[:, c] for c, n in enumerate(outputs)} for x in ends)
-    strip = Strip(kind, name, np.asarray(record.time)[index], measured, simulated, low, high)
+    strip = qualification.Strip(kind, name, np.asarray(record.time)[index], measured, simulated, low, high)
     return tests, strip, still
 
 
@@ -416,14 +406,14 @@ def further_flights(
     model: Model,
     values: Mapping[str, float],
     envelope: Envelope,
-) -> Further:
+) -> qualification.Further:
     """Test points for the undecided tolerances, inside the envelope; `errors` of the drawn parameters `names`."""
     scale = np.std(errors, axis=0)
     moving = np.flatnonzero(scale > 0.0)
     names, errors = [names[int(k)] for k in moving], errors[:, moving] / scale[moving]
     slopes = [test.slope(errors) for test in tests]
     known = [test.probability(-errors @ slope) for test, slope in zip(tests, slopes, strict=True)]
-    useful = [k for k, chance in enumerate(known) if not FAILS_TO < chance < PASSES_FROM]
+    useful = [k for k, chance in enumerate(known) if not qualification.FAILS_TO < chance < qualification.PASSES_FROM]
     first = np.cov(errors, rowvar=False).reshape(len(names), len(names))
     worst = np.array([slopes[k][:, tests[k].worst] for k in useful]).reshape(-1, len(names))
     worst = worst[np.einsum("ti,ij,tj->t", worst, first, worst) > 0.0]
@@ -438,7 +428,7 @@ def further_flights(
 
     def decided(information: Float[np.ndarray, "k k"]) -> bool:
         chances = expected(information)
-        return all(not FAILS_TO < chances[k] < PASSES_FROM for k in useful)
+        return all(not qualification.FAILS_TO < chances[k] < qualification.PASSES_FROM for k in useful)
 
     points, refused = (), {}
     if useful:
@@ -455,8 +445,11 @@ def further_flights(
         refused = refused_points(variants, envelope)
         points = best_points(possible, np.zeros_like(first), nats=nats, expected=expected, decided=decided)
     present = [test.probability() for test in tests]
-    questions = [OpenTolerance(t.kind, t.manoeuvre, t.output, *x) for t, *x in zip(tests, present, known, strict=True)]
-    return Further(tuple(questions), tuple(points), refused)
+    questions = [
+        qualification.OpenTolerance(t.kind, t.manoeuvre, t.output, *x)
+        for t, *x in zip(tests, present, known, strict=True)
+    ]
+    return qualification.Further(tuple(questions), tuple(points), refused)
 
 
 def _after(first: Float[np.ndarray, "k k"], information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
@@ -609,7 +602,7 @@ class Region:
 
     def outside(
         self, manoeuvre: str, kind: str, time: Float[np.ndarray, " m"], motion: Mapping[str, Float[np.ndarray, " m"]]
-    ) -> Outside | None:
+    ) -> qualification.Outside | None:
         """How far a motion leaves the region, SI; None where it does not by more than `NOTABLE`."""
         kept = np.unique(np.linspace(0, len(time) - 1, min(len(time), MOST_ASKED)).astype(int))
         offsets = self.offsets({n: np.asarray(motion[n])[kept] for n in self.channels})
@@ -619,4 +612,4 @@ class Region:
         worst = int(np.argmax(distance))
         excess = dict(zip(self.channels, map(float, offsets[worst] * self.scale), strict=True))
         share, when = float(np.mean(distance > NOTABLE)), float(time[kept[worst]] - time[0])
-        return Outside(manoeuvre, kind, self.channels, share, float(distance[worst]), when, excess)
+        return qualification.Outside(manoeuvre, kind, self.channels, share, float(distance[worst]), when, excess)
