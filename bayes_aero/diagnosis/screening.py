@@ -373,7 +373,7 @@ def screen(
     rows = [np.concatenate([columns, own, np.full(width - len(own), dummy)]) for _, own, _ in blocks]
     steps, _, _, deviances = state.products.fit_many(np.array(rows, int), state.mean, state.precision)
     gains, steps, before = fit.deviance - deviances, steps[:, len(columns) :], projected.deviance(residual)
-    scanned, apart = {s.effect: state.theta[state.full.columns([s.parameter])[0]] for s in state.scans}, None
+    scanned, apart = {s.effect: state.theta[state.full.columns([s.parameter])[0]] for s in reversed(state.scans)}, None
     if without is not None and without in {b[0] for b in blocks}:
         away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[j])
         apart = projected.apart(residual, estimates, away, colour, stretch)
