@@ -23,7 +23,6 @@ from bayes_aero.diagnosis.selection import (
     plausible,
     removed,
     selected,
-    sized,
     sizes,
     without_hold,
     worth,
@@ -176,7 +175,7 @@ def check_sensors(
         extension = selected(state, seed=seed)
         after = with_several_instead(consistent_across_blocks(extension.state))
         after = consistent_across_blocks(after)  # several errors, too, if stretches bear them out
-        return widened(sized(replace(extension, state=after)), after)
+        return widened(extension, after)
 
     extension = plausible(without, without_hold)
     first = (extension, *extension.larger)[-1]
@@ -300,7 +299,7 @@ def consistent_across_blocks(state: SelectionState) -> SelectionState:
 def widened(extension: Extension, state: SelectionState) -> Extension:
     """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them."""
     judged = Blocks(state)
-    estimates = dict(extension.sizes) if state is extension.state else sizes(state)
+    estimates = sizes(state)
     for effect in state.active:
         names = state.full.parameters_of(effect)
         wide = zip(names, judged.deviations(effect, len(names)), strict=True)

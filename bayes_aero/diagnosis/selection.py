@@ -96,13 +96,9 @@ def plausible(
         barred, before = (*barred, *out(extension)), extension
 
 
-def forward_selection(state: SelectionState, **options: Any) -> Extension:
-    """Add effects until none is both beyond chance and useful on data left out, and size them (see `selected`)."""
-    return sized(selected(state, **options))
-
-
 def plausible_selection(state: SelectionState, **options: Any) -> Extension:
-    return plausible(lambda barred: forward_selection(state, barred=barred, **options))
+    """Effects added as by `selected`, sized, and no larger than aircraft have."""
+    return plausible(lambda barred: sized(selected(state, barred=barred, **options)))
 
 
 def selected(

@@ -284,7 +284,7 @@ def _makes(effect: Effect, flights: Flights, instead: Mapping[str, np.ndarray]) 
 # --- The parts of the records that are predicted from the others: manoeuvres, or parts of a single one.
 # Fits to coefficients leave out these folds: the parameters again (`LeftOut.refitted`), or to first order from inner
 # products (`Products.without`). Trajectories leave out segments, which are flown from their measured state
-# (`flights.holdout_fits`); Gaussian processes are validated on samples, at random as published, too
+# (`trajectories.holdout_fits`); Gaussian processes are validated on samples, at random as published, too
 # (`inference.validation`).
 
 

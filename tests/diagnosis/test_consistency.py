@@ -440,7 +440,7 @@ def test_the_flight_path_is_selected_again_without_an_error_larger_than_sensors_
 
     for name, given in {
         "linearised": linearised, "selected": selected, "widened": lambda found, *_: found,
-        "sized": lambda found: found, "consistent_across_blocks": lambda found: found,
+        "consistent_across_blocks": lambda found: found,
         "with_several_instead": lambda found: found, "nats_gained": lambda *_: gained,
         "without_hold": lambda one: {n: {} for n in one.state.active},
     }.items():  # fmt: skip
