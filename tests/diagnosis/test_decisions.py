@@ -425,7 +425,8 @@ def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_
         asked.append(tuple(barred))
         return given[len(asked) - 1]
 
-    monkeypatch.setattr(selecting, "forward_selection", once)
+    monkeypatch.setattr(selecting, "selected", once)
+    monkeypatch.setattr(selecting, "sized", lambda found: found)
     found = selecting.plausible_selection(given[0].base)
     assert asked == [(), ("alpha_dot_lift",)]
     assert found.state.active == ()
