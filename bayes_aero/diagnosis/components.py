@@ -36,6 +36,7 @@ from bayes_aero.residuals.base import Signals
 
 Rows = Float[np.ndarray, "m c"]
 Columns = Int[np.ndarray, " k"]
+Folds = Sequence[slice]
 
 # --- Terms that nobody listed: products, breaks, bumps, what acts in separated flow alone, memory.
 # A term is a product of factors. A factor is a nondimensional quantity of the flight, a function of the angle of
@@ -272,11 +273,7 @@ class Trial:
     """A component as the only candidate beside those `chosen`, and the fit with it in."""
 
     def __init__(
-        self,
-        state: SelectionState,
-        component: Component,
-        chosen: Sequence[Component] = (),
-        folds: Sequence[slice] | None = None,
+        self, state: SelectionState, component: Component, chosen: Sequence[Component] = (), folds: Folds | None = None
     ) -> None:
         self.state = state.with_components((component,), chosen, folds)
         self.wide = self.state.wider(self.state.component_columns[0])
@@ -569,9 +566,7 @@ class ChangeScan:
         self._idle = noisy | (information <= NOTHING * whole)  # what the model can do as well
         self.information = np.where(self._idle, 1.0, information)
 
-    def _noise_shares(
-        self, fit: RegressionFit, own: Float[np.ndarray, "n p"], cross: Float[np.ndarray, "n p k"]
-    ) -> Float[np.ndarray, "2 n p"]:
+    def _noise_shares(self, fit: RegressionFit, own: np.ndarray, cross: np.ndarray) -> np.ndarray:
         """Share of noise in what tells the value of each parameter within each span, and in what tells it elsewhere."""
 
         def form(x: Float[np.ndarray, "n k"], y: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
@@ -672,9 +667,7 @@ def reported_change(
     )
 
 
-def _sizes(
-    state: SelectionState, change: FoundChange, chosen: Sequence[Component], column: int
-) -> list[tuple[float, float]]:
+def _sizes(state: SelectionState, change: FoundChange, chosen: Sequence[Component], column: int) -> list[tuple]:
     """Value before, after, and their difference, with standard errors; all that is in is fitted beside."""
     whole = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre))
     fit, widths = whole.best, [c.basis.shape[2] for c in chosen]

@@ -9,7 +9,7 @@ from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.fft import next_fast_len
 
 from bayes_aero.diagnosis.result import Diagnosis, Size
@@ -355,9 +355,7 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
     return tuple(sorted(undecided, key=lambda e: (not e.asked, rank.get(e.name, len(rank)))))
 
 
-def _information_of_errors(
-    state: SelectionState,
-) -> tuple[list[Effect], Int[np.ndarray, " k"], Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+def _information_of_errors(state: SelectionState) -> tuple[list[Effect], np.ndarray, np.ndarray, np.ndarray]:
     """Errors of one parameter that move the flight path, their columns, information, and what is left for them."""
     effects = [
         e
@@ -533,9 +531,7 @@ def path_check(path: _RecordedPath) -> PathCheck:
     return PathCheck(path.name, tuple(departures), shape, turbulence, met, assumed)
 
 
-def _measures(
-    path: _RecordedPath, noise: Float[np.ndarray, "r n c"], columns: Float[np.ndarray, "m n c"]
-) -> Float[np.ndarray, "q k c"]:
+def _measures(path: _RecordedPath, noise: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Root mean squares of the record and of each of noise: whole, without the best constant errors, by window."""
     # The constant errors that suit all outputs of a record best, of any size, and a steady vertical wind.
     step, wind = max(1, len(path.time) // THINNED), np.zeros_like(columns[:1])
@@ -580,9 +576,7 @@ MARGIN = 2.0  # times the calmest air-data channel's own gusts: turbulence comes
 AIR_DATA = ("airspeed", "alpha", "beta")
 
 
-def sensor_noise(
-    channels: Mapping[str, Series], card: Card
-) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+def sensor_noise(channels: Mapping[str, Series], card: Card) -> tuple[dict[str, float], ...]:
     """Standard deviations by channel, SI: permitted white noise, a constant error, and the white noise shown."""
     stated = {name: float(card.sensors.get(name) or DEFAULT_NOISE[name]) for name in DEFAULT_NOISE if name in channels}
     shown = {name: noise_of(np.asarray(channels[name])) for name in stated}
@@ -590,9 +584,7 @@ def sensor_noise(
     return permitted, stated, shown
 
 
-def gusts(
-    rng: np.random.Generator, count: int, n: int, dt: float, airspeed: float, *, across: bool
-) -> Float[np.ndarray, "r n"]:
+def gusts(rng: np.random.Generator, count: int, n: int, dt: float, airspeed: float, *, across: bool) -> np.ndarray:
     """Dryden turbulence of unit standard deviation along or across the path, met at a speed in m/s.
 
     Source: MIL-F-8785C, 3.7.2, T = L/V: along, 1/(1 + T s); across, (1 + sqrt(3) T s)/(1 + T s)^2.

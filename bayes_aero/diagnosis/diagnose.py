@@ -297,9 +297,7 @@ def gains_of(
     state, causes, name_of_split = extension.state, extension.causes, selection.split_name(extension.state)
     nuisances = [name for name in extension.minor if name in kept]
 
-    def chain(
-        left_out: Callable[[list[str]], selection.LeftOut],
-    ) -> tuple[selection.LeftOut, dict[str, tuple[selection.LeftOut, selection.LeftOut]]]:
+    def chain(left_out: Callable[[list[str]], selection.LeftOut]) -> tuple[selection.LeftOut, dict]:
         """Hold-out data without any cause, and without and with each."""
         base = before = left_out([])
         pairs, sure = {}, list[str]()
@@ -509,7 +507,7 @@ LEAST = 1e-3  # of the residual's size, that a deviation counts as at least: a s
 
 
 def profiles(
-    residual: Float[np.ndarray, " n"], channels: Mapping[str, np.ndarray], variance_inflation: float
+    residual: np.ndarray, channels: Mapping[str, np.ndarray], inflation: float
 ) -> list[result.ResidualProfile]:
     """How the residual depends on each channel, the clearest first."""
     dependences, bins = [], max(1, min(BINS, len(residual) // 2))  # of two blocks: they have a deviation
@@ -518,7 +516,7 @@ def profiles(
         if np.ptp(x) > 1e-9 * max(1.0, float(np.abs(x).max())):
             parts = np.array_split(np.argsort(x, kind="stable"), bins)
             mean, centre = (np.array([y[p].mean() for p in parts]) for y in (residual, x))
-            sd = np.array([residual[p].std() * np.sqrt(variance_inflation / len(p)) for p in parts])
+            sd = np.array([residual[p].std() * np.sqrt(inflation / len(p)) for p in parts])
             clear = float(np.sum((mean / np.maximum(sd, least)) ** 2))
             dependences.append((-clear, result.ResidualProfile(name, centre, mean, sd)))
     return [profile for _, profile in sorted(dependences, key=lambda pair: pair[0])]

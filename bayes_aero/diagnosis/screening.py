@@ -35,6 +35,8 @@ from bayes_aero.inference.covariance import (
     variance_inflation,
 )
 
+Records = Float[np.ndarray, "r m c"]
+White = Float[np.ndarray, "t f r c"]
 Vector = Float[np.ndarray, " k"]
 Square = Float[np.ndarray, "k k"]
 Rows = Float[np.ndarray, "m c"]
@@ -53,9 +55,7 @@ class Autocorrelation:
     phi: Float[np.ndarray, "c p"]
     sigma: Float[np.ndarray, " c"]
 
-    def coloured(
-        self, white: Float[np.ndarray, "t f r c"], folds: Sequence[slice], m: int
-    ) -> Float[np.ndarray, "r m c"]:
+    def coloured(self, white: White, folds: Sequence[slice], m: int) -> Records:
         """The noise records that this colour makes of `white_noise`."""
         out = np.zeros((white.shape[2], m, len(self.sigma)))
         if not len(out):
@@ -71,9 +71,7 @@ class Autocorrelation:
         return Middle(S, variance, folds, [np.arange(S.shape[2])]).under_each([self], [0])[1][0][0]
 
 
-def white_noise(
-    count: int, folds: Sequence[slice], outputs: int, rng: np.random.Generator
-) -> Float[np.ndarray, "t f r c"]:
+def white_noise(count: int, folds: Sequence[slice], outputs: int, rng: np.random.Generator) -> White:
     """Of unit deviation, behind `count` noise records: the folds side by side, for one loop over time."""
     longest = max(fold.stop - fold.start for fold in folds)
     white = np.zeros((longest, len(folds), count, outputs))
@@ -92,7 +90,7 @@ class SharedNoise:
         self._rest = lambda: white_noise(settings.replicates, folds, outputs, rng)
 
     @cached_property
-    def replicates(self) -> Float[np.ndarray, "t f r c"]:
+    def replicates(self) -> White:
         return self._rest()
 
 
@@ -118,7 +116,7 @@ class Middle:
 
     def under_each(
         self, colours: Sequence[Autocorrelation], wide: Sequence[int]
-    ) -> tuple[Float[np.ndarray, "r k"], list[np.ndarray]]:
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Under each of r colours, the diagonal over all columns (r, k), and the whole (r, w, w) of sets `wide`."""
         diagonal = np.zeros((len(colours), self.width))
         whole = [np.zeros((len(colours), len(self.places[j]), len(self.places[j]))) for j in wide]
@@ -146,7 +144,7 @@ def autocorrelation_of(residual: Rows, folds: Sequence[slice]) -> Autocorrelatio
     return autocorrelations_of(residual[None], folds)[0]
 
 
-def autocorrelations_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[slice]) -> list[Autocorrelation]:
+def autocorrelations_of(residuals: Records, folds: Sequence[slice]) -> list[Autocorrelation]:
     each = [
         autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
         for c in range(residuals.shape[2])
@@ -198,9 +196,7 @@ class PartialledRegression:
         pairs = zip(self.place, self.bread, strict=True)
         return np.array([np.einsum("ri,ij,rj->r", right[:, p], B, right[:, p], optimize=True) for p, B in pairs])
 
-    def scores(
-        self, residual: Rows, colour: Autocorrelation, stretch: Marks
-    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def scores(self, residual: Rows, colour: Autocorrelation, stretch: Marks) -> tuple[list[np.ndarray], ...]:
         """Estimates and covariances, by colour, or by how far stretches disagree where that is less sure."""
         whole, estimates = self.middle.under_each([colour], range(len(self.place)))[1], self.estimates(residual)
         covariances = [bread @ meat @ bread for bread, (meat,) in zip(self.bread, whole, strict=True)]
@@ -221,7 +217,7 @@ class PartialledRegression:
         left = left[self.state.inside]
         return float(len(left) * np.linalg.slogdet(left.T @ left / len(left))[1])
 
-    def nulls(self, colour: Autocorrelation, white: Float[np.ndarray, "t f r c"]) -> Float[np.ndarray, " r"]:
+    def nulls(self, colour: Autocorrelation, white: White) -> Float[np.ndarray, " r"]:
         """The largest score that any block reaches in each noise-only record of this colour."""
         noises = noise_records(self.state, self.fit, colour, white)
         alone = np.array([place[0] for place in self.place if len(place) == 1], int)
@@ -402,9 +398,7 @@ def screen(
     return ScreeningResult(tuple(sorted(scores, key=lambda s: -s.gain)), colour, largest)
 
 
-def null_shares(
-    state: SelectionState, colour: Autocorrelation, variance: Float[np.ndarray, " c"], seed: int
-) -> Float[np.ndarray, " r"]:
+def null_shares(state: SelectionState, colour: Autocorrelation, variance: np.ndarray, seed: int) -> np.ndarray:
     """Largest share of one output's variance that any block of one output explains in each record of such noise."""
     # Both are what is left with the component in whose share is judged: with it out, structure would pass for slow
     # noise, and noise of the other outputs for a share of it.
@@ -417,9 +411,7 @@ def null_shares(
     return np.max(projected.gains(projected.right(noises)) / total[:, output].T, axis=0)
 
 
-def noise_records(
-    state: SelectionState, fit: RegressionFit, colour: Autocorrelation, white: Float[np.ndarray, "t f r c"]
-) -> Float[np.ndarray, "r m c"]:
+def noise_records(state: SelectionState, fit: RegressionFit, colour: Autocorrelation, white: White) -> Records:
     """What is left of noise records of a colour, made of `white_noise`, when the active columns are fitted to them."""
     residual = colour.coloured(white, state.folds, len(state.residual))
     B = state.scaled[:, :, fit.columns]
@@ -491,7 +483,7 @@ def refit_p_value(state: SelectionState, standing: CandidateScore, noise: Shared
     fit, blocks = state.fit(held=wider.variance), [b[1] for b in state.blocks if b[0] not in state.active]
     projected = PartialledRegression(state, fit, blocks)
 
-    def leaders(noises: Float[np.ndarray, "r m c"]) -> tuple[np.ndarray, list[Autocorrelation]]:
+    def leaders(noises: Records) -> tuple[np.ndarray, list[Autocorrelation]]:
         """The candidate that explains most of each noise record, and the colours of what it leaves."""
         right = projected.right(noises)
         best, left = np.argmax(projected.gains(right), axis=0), []

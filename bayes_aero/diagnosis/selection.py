@@ -445,9 +445,7 @@ def without_hold(extension: Extension) -> dict[str, Mapping[str, float]]:
     return {n: joint.get(n, {}) for n in state.active if n in out or out & set(joint.get(n, {}))}
 
 
-def _correlated_parameters(
-    extension: Extension, effects: Sequence[str]
-) -> Iterator[tuple[tuple[str, str], tuple[str, str], np.ndarray]]:
+def _correlated_parameters(extension: Extension, effects: Sequence[str]) -> Iterator[tuple]:
     """Pairs of effects, one parameter of each, and the covariance of these two where they are correlated."""
     state = extension.state
     if len(effects) < 2:
@@ -737,12 +735,7 @@ def addition_gain(state: SelectionState, wide: np.ndarray) -> float:
 
 
 def integrated_deviance(
-    products: Products,
-    prior: tuple[np.ndarray, np.ndarray],
-    inflation: float,
-    fold: int,
-    columns: np.ndarray,
-    card: np.ndarray,
+    products: Products, prior: tuple, inflation: float, fold: int, columns: np.ndarray, card: np.ndarray
 ) -> float:
     """Deviance of a fold by these columns, those beyond the card's integrated out over their posterior elsewhere."""
     others, at = products.without(fold).fit(columns, *prior), np.flatnonzero(~np.isin(columns, card))

@@ -427,9 +427,7 @@ class Products:
         return RegressionFit(columns, step[0], normal[0], variance[0], float(deviance[0]))
 
 
-def partialled(
-    X: Float[np.ndarray, "m c j"], B: Float[np.ndarray, "m c b"], weight: Float[np.ndarray, " c"]
-) -> Float[np.ndarray, "m c j"]:
+def partialled(X: np.ndarray, B: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """What weighted least squares on the columns `B` leaves of each of the columns `X`."""
     cross, own = (np.einsum("mci,c,mcj->ij", B, weight, other, optimize=True) for other in (X, B))
     return X - B @ (inverse(own) @ cross)

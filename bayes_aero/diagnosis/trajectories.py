@@ -299,13 +299,11 @@ def holdout_fits(
     return paths
 
 
-def left_out_of(
-    paths: Sequence[result.SimulatedManoeuvre], flown: SegmentTrajectories, variance_inflation: float
-) -> LeftOut:
+def left_out_of(paths: Sequence[result.SimulatedManoeuvre], flown: SegmentTrajectories, inflation: float) -> LeftOut:
     """What simulations, in order, miss of every segment of `flown`."""
     left = [np.stack([p.measured[n] - p.simulated[n] for n in flown.outputs], axis=1) for p in paths]
     scaled = [x / s for x, s in zip(left, flown.growth, strict=True)]
-    return _left_out(scaled, flown, variance_inflation, flyable=all(p.inside for p in paths))
+    return _left_out(scaled, flown, inflation, flyable=all(p.inside for p in paths))
 
 
 def _left_out(
@@ -438,15 +436,13 @@ def eliminate(
 class _FirstOrder:
     """Segments by fits to the others that are linear in the parameters; those at a bound stay there."""
 
-    def __init__(
-        self, contender: CandidateFit, silent: Mapping[int, Mapping[str, float]], variance_inflation: float
-    ) -> None:
+    def __init__(self, contender: CandidateFit, silent: Mapping[int, Mapping[str, float]], inflation: float) -> None:
         fit = contender.fit
         equations, still = output_error.NormalEquations(fit.flown, fit.priors), np.zeros_like(fit.departure)
         # At the optimum, with the fitted initial states, and with the measured ones.
         fitted, measured = (equations.evaluate(fit.estimate, begin) for begin in (fit.departure, still))
         self.A, self.g, _ = output_error.segment_equations(fitted, fit.priors)
-        self.columns, self.inflation = np.concatenate(measured.products.columns), variance_inflation
+        self.columns, self.inflation = np.concatenate(measured.products.columns), inflation
         self.contender, self.silent = contender, silent
 
     def left_out(self, absent: Mapping[str, float]) -> LeftOut:

@@ -427,11 +427,7 @@ def _chance(trial: SelectionState, standing: screening.CandidateScore, among: in
 
 
 def _weighed(
-    state: SelectionState,
-    gains: Sequence[tuple[TermColumn, float]],
-    chosen: Sequence[Component],
-    first: TermColumn,
-    p: float,
+    state: SelectionState, gains: list[tuple[TermColumn, float]], chosen: list[Component], first: TermColumn, p: float
 ) -> SelectedTerm:
     """The term of most weight among those, of any coefficient, that explain about as much as the leader `first`."""
     best = next(gain for column, gain in gains if column is first)
@@ -697,11 +693,7 @@ def _is_smooth(term: ProductTerm) -> bool:
 
 
 def _beside(
-    state: SelectionState,
-    reached: Sequence[str],
-    chosen: Sequence[SelectedTerm],
-    effects: Sequence[str],
-    full: SelectionState,
+    state: SelectionState, reached: list[str], chosen: Sequence[SelectedTerm], effects: list[str], full: SelectionState
 ) -> list[SelectedTerm]:
     """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
     terms = list(chosen)

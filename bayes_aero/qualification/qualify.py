@@ -43,9 +43,7 @@ Vector = Float[np.ndarray, " k"]
 Drawn = Float[np.ndarray, "m n c"]  # of m draws, n samples and c outputs
 
 
-def errors(
-    flown: SegmentTrajectories, theta: Vector
-) -> tuple[Float[np.ndarray, "w n c"], Float[np.ndarray, "w n"], Bool[np.ndarray, " w"]]:
+def errors(flown: SegmentTrajectories, theta: Vector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Recorded minus simulated, SI; separated share of the flow; whether each manoeuvre stays inside the envelope."""
     still = jnp.zeros((len(flown.index), len(flown.dynamics.start)))
     simulated = trajectories(flown, jnp.asarray(theta), still)
@@ -490,9 +488,7 @@ def fits_without(fit: OutputErrorResult, noise: FlightNoise) -> list[OutputError
     return [fit_without for _, fit_without in left_out([candidate], silent, noise)]
 
 
-def hold_out(
-    wide: SegmentTrajectories, fits: Sequence[OutputErrorResult], inflation: float, seed: int
-) -> HoldOut | None:
+def hold_out(wide: SegmentTrajectories, fits: list[OutputErrorResult], inflation: float, seed: int) -> HoldOut | None:
     """Errors of every manoeuvre by the fit without it; None where one of these fits cannot fly it."""
     unseen, explained = [], []
     for k, fit in enumerate(fits):
