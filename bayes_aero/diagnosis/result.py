@@ -20,6 +20,7 @@ from bayes_aero.physics.aircraft import Aircraft
 
 # With what a model is compared: kinematics alone, which knows sensors and winds, or the model itself.
 FLIGHT_PATH, COEFFICIENTS, TRAJECTORIES, INNOVATIONS = "flight path", "coefficients", "trajectories", "innovations"
+Value = tuple[float, float]  # with its standard error, or two of a kind
 LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
 LITTLE = 0.02  # own share of an effect below which the record hardly excites it; our choice
 
@@ -31,9 +32,7 @@ class Verdict(StrEnum):
     EXPLAINED = "explained"
     PARTLY_EXPLAINED = "partly_explained"
     UNEXPLAINED = "unexplained"
-    # Trajectories alone cannot tell disturbed air from a model error without a name; or a parameter of a control at
-    # rest may have taken up an effect.
-    UNDECIDED = "undecided"
+    UNDECIDED = "undecided"  # air may be disturbed, or a parameter of a control at rest have taken up an effect
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,7 @@ class Gain:
     split: str
     before: Mapping[str, Scores]  # of each coefficient: card's model
     after: Mapping[str, Scores]  # with all so far
-    # Outputs that are predicted worse with it, beyond noise (see `DiagnosisSettings.degrades`), with that gain.
-    degraded: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    degraded: Mapping[str, Value] = field(default_factory=dict)  # gain of outputs predicted worse, beyond noise
 
 
 @dataclass(frozen=True)
@@ -66,13 +64,11 @@ class Cause:
     # Without it the hold-out log density falls by `missed`, with its standard error, and no output is predicted worse
     # with it. A cause that is not confirmed stays out of the model that is simulated and compared.
     confirmed: bool = True
-    missed: tuple[float, float] = (float("nan"), float("nan"))
+    missed: Value = (float("nan"), float("nan"))
     implausible: Mapping[str, float] = field(default_factory=dict)  # parameters beyond the largest size, with that
     own_share: float = float("nan")  # of what it does, what no other free parameter can do as well
-    # Hold-out log density that a rival in its place has beyond it, where that was compared.
-    rival_gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    # Causes whose estimates are correlated with its own, and that correlation: neither size holds without the other.
-    joint: Mapping[str, float] = field(default_factory=dict)
+    rival_gains: Mapping[str, Value] = field(default_factory=dict)  # hold-out log density of rivals in its place
+    joint: Mapping[str, float] = field(default_factory=dict)  # correlated causes: neither size holds without the other
 
     @property
     def bounded(self) -> tuple[str, ...]:
@@ -99,9 +95,8 @@ class UnexplainedStructure:
     share: float  # of the remaining variance of that coefficient
     p_value: float
     rivals: tuple[str, ...] = ()  # effects that explain it about equally well, more than the record can choose among
-    # Where the coefficient's constant differs between manoeuvres: by how much in each from that in the first, with
-    # standard errors; an effect that differs only between manoeuvres cannot be told from it.
-    offsets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # By how much the coefficient's constant differs in a manoeuvre from that in the first.
+    offsets: Mapping[str, Value] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -112,11 +107,11 @@ class ParameterChange:
     unit: str
     manoeuvre: str  # in which it changes
     at: float  # when, s from that manoeuvre's begin; 0: between the one before and this one
-    interval: tuple[float, float]  # of times that the record does not tell from it at 95 %
+    interval: Value  # of times that the record does not tell from it at 95 %
     lasts: bool  # whether the later manoeuvres have the value after; else they have the value before
-    before: tuple[float, float]  # value and standard error
-    after: tuple[float, float]
-    size: tuple[float, float]  # their difference
+    before: Value  # value and standard error
+    after: Value
+    size: Value  # their difference
     share: float  # of a coefficient's remaining variance that it explains
     p_value: float
     gain: float  # log density of parts of the manoeuvres predicted from the others, over the variance inflation
@@ -136,9 +131,7 @@ class OutputMiss:
 
     noise: float
     fitted: float  # initial states and parameters fitted to all flights
-    # From the measured initial state by the fit to the others, so that the noise of that state is in it and it is no
-    # measure of the model alone.
-    unseen: float
+    unseen: float  # by the fit to the others from the measured initial state, whose noise is in it
 
     @property
     def beyond(self) -> bool:
@@ -180,8 +173,7 @@ class Diagnosis:
     following: tuple[str, ...] = ()  # surfaces that only follow the outputs
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly; what else is here is valid
     together: tuple[CancellingPair, ...] = ()  # pairs of causes of which the record knows one combination alone
-    # Larger than on any aircraft, and out of the model; and what was estimated together with one.
-    beyond: tuple[Cause, ...] = ()
+    beyond: tuple[Cause, ...] = ()  # larger than on any aircraft, or estimated with such a one; out of the model
     tested: Tested | None = None  # of a diagnosis by trajectories alone
     compared: str = COEFFICIENTS  # with what the model was compared: the name of its stage
     gusts: Mapping[str, float] = field(default_factory=dict)  # m/s, of records that asked for process noise by them
@@ -239,7 +231,7 @@ class SensorCheck:
 
     note: str  # why it was not done; empty where it was
     errors: dict[str, dict[str, Any]]
-    rms: dict[str, tuple[float, float]]
+    rms: dict[str, Value]
 
 
 @dataclass(frozen=True)
@@ -275,8 +267,8 @@ class SizeInBand:
     cause: str
     parameter: str
     unit: str
-    in_band: tuple[float, float]
-    coefficients: tuple[float, float]
+    in_band: Value
+    coefficients: Value
     apart: float  # their difference in standard errors of the difference
 
 
@@ -284,7 +276,7 @@ class SizeInBand:
 class CausesInBand:
     """Sizes of the causes in a band of frequencies."""
 
-    band: tuple[float, float]  # Hz
+    band: Value  # Hz
     sizes: tuple[SizeInBand, ...]
     unseen: tuple[str, ...]  # parameters of causes that the band does not show
     converged: bool  # whether the fit did
@@ -299,7 +291,7 @@ class FoundTerm:
 
     coefficient: str  # to which it adds size times the term
     term: ProductTerm
-    size: tuple[float, float]  # estimate and standard error of its factor
+    size: Value  # estimate and standard error of its factor
     share: float  # of the variance left without it of the coefficient, or of the flown output that it explains most
     gain: float  # log density of left-out folds, divided by the variance inflation
     weight: float  # posterior probability of this term among itself and the `others`
@@ -355,8 +347,7 @@ class SimulatedManoeuvre:
     """One simulated manoeuvre."""
 
     manoeuvre: str
-    # card or extended; of a fit by itself (`fit_trajectories`) start or fitted, of parameters from elsewhere given
-    model: str
+    model: str  # card or extended; of a fit by itself start or fitted; given, of parameters from elsewhere
     split: str  # fitted (jointly, initial state too) or hold_out (from the measured state); else as the model
     inside: bool  # the flight envelope
     errors: Mapping[str, Error]
@@ -372,7 +363,7 @@ class LagTest:
     effect: str
     gain: float  # of the joint fit
     kept: bool = False  # hold-out flights confirm the lag
-    unseen: tuple[float, float] = (float("nan"), float("nan"))  # on hold-out flights; NaN where `gain` is too little
+    unseen: Value = (float("nan"), float("nan"))  # on hold-out flights; NaN where `gain` is too little
     instead: tuple[str, ...] = ()  # parameters of hysteresis that it replaces
     slight: bool = False  # too small to be named
     decisive: float = 3.0  # nats that the joint fit must gain
@@ -457,7 +448,7 @@ class TrajectoryFit:
     fit: Any
     start: Float[np.ndarray, " k"]
     paths: tuple[SimulatedManoeuvre, ...]
-    initial: Mapping[str, Mapping[str, tuple[float, float]]]
+    initial: Mapping[str, Mapping[str, Value]]
     variance_inflation: float
     outputs: tuple[str, ...]
     units: Mapping[str, str]
@@ -488,7 +479,7 @@ class TrajectoryFit:
         return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
 
     @property
-    def rms_errors(self) -> dict[str, tuple[float, float]]:
+    def rms_errors(self) -> dict[str, Value]:
         """Root mean square error of each output over all manoeuvres, SI: at the first values, and of the fit."""
 
         def rms(model: str, output: str) -> float:
@@ -516,8 +507,8 @@ class Disagreement:
 
     name: str
     unit: str
-    coefficients: tuple[float, float]
-    trajectories: tuple[float, float]
+    coefficients: Value
+    trajectories: Value
     apart: float
 
 
@@ -537,13 +528,11 @@ class ProcessNoise:
     status: str  # how the fit ended
     converged: bool  # whether its numbers mean something
     gain: float  # log likelihood beyond that of output error, nats
-    estimates: Mapping[str, tuple[float, float]]  # by parameter, each with its standard error
+    estimates: Mapping[str, Value]  # by parameter, each with its standard error
     F: Mapping[str, float]  # process noise by state, unit of the state per square root of a second
     noise_sd: Mapping[str, float]  # standard deviation of the measurement noise by output
     autocorrelation: Mapping[str, float]  # of neighbouring innovations; 0 if the disturbance is as modelled
-    # Intensity (m/s) and scale length (m) of each gust, and of buffet (1; chords) where the flow separates, by
-    # parameter, with standard errors.
-    gusts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    gusts: Mapping[str, Value] = field(default_factory=dict)  # intensity (m/s; of buffet 1) and length (m; chords)
     histories: tuple[GustHistory, ...] = ()  # what was met, by manoeuvre; empty where no gust has an intensity
     one_step: OneStep | None = None  # whether one-step predictions are calibrated; None without convergence
     covariance: Float[np.ndarray, "k k"] | None = None  # of the `estimates`, in their order
@@ -565,10 +554,9 @@ class FlownMode:
 
     name: str  # short period, phugoid, Dutch roll, roll, spiral; other where no name fits
     eigenvalue: complex  # 1/s; of a pair the one of positive imaginary part
-    sd: tuple[float, float]  # standard errors of its real and imaginary part, 1/s
-    # Period, time_constant, time_to_half and time_to_double in s, damping_ratio; each with its standard error. What the
-    # data do not tell apart from none is left out.
-    quantities: Mapping[str, tuple[float, float]]
+    sd: Value  # standard errors of its real and imaginary part, 1/s
+    # Period, time_constant, time_to_half, time_to_double (s), damping_ratio; not what the data do not tell from none.
+    quantities: Mapping[str, Value]
 
 
 @dataclass(frozen=True)
@@ -605,8 +593,7 @@ class Fitted:
 
     residual: Float[np.ndarray, "n c"]  # of the coefficients at the recorded rate
     signals: Mapping[str, np.ndarray]  # what explains the coefficients, by name, (n,)
-    # By coefficient: scores, Theil's parts, autocorrelation at lag 1 and calibration of the residuals.
-    composition: Mapping[str, Mapping[str, Any]]
+    composition: Mapping[str, Mapping[str, Any]]  # scores, Theil's parts, lag 1 and calibration by coefficient
     profiles: tuple[tuple[ResidualProfile, ...], ...]  # by coefficient, the clearest dependence first
     state: Any  # the regression problem at its optimum: `selection_state.SelectionState`
 
@@ -631,7 +618,7 @@ class RankedCandidate:
     score: float
     p_value: float
     explains: float  # share of the remaining variance that it would take away, by which candidates are taken in turn
-    estimate: Mapping[str, tuple[float, float]]  # and standard error, by parameter
+    estimate: Mapping[str, Value]  # and standard error, by parameter
 
 
 @dataclass(frozen=True)
@@ -665,7 +652,7 @@ class HoldoutScores:
     """Both models on each manoeuvre, in the fit and on hold-out data (means over blocks of about 5 Hz)."""
 
     names: tuple[str, ...]  # of the manoeuvres
-    # Of each coefficient, by model (`card`, `extended`), data (`fitted`, `hold_out`) and the manoeuvre's number.
+    # By model (`card`, `extended`), data (`fitted`, `hold_out`), number of the manoeuvre, and coefficient.
     scores: Mapping[tuple[str, str, int], Mapping[str, Scores]]
     gains: Mapping[tuple[str, str], Compared]  # of the extended model, on hold-out data, by manoeuvre and coefficient
     hold_out: float  # standard errors of a loss that is significant
@@ -682,8 +669,7 @@ class DiagnosisView:
     diagnosis: Diagnosis
     rankings: tuple[Ranking, ...]
     moves: Mapping[str, ParameterMove]
-    # Names (k) and covariance (k, k) of the extended model's estimates, SI, for coloured residuals.
-    covariance: tuple[tuple[str, ...], Float[np.ndarray, "k k"]] | None = None
+    covariance: tuple[tuple[str, ...], Float[np.ndarray, "k k"]] | None = None  # of the extended model's estimates
     trajectories: Trajectories | None = None
 
     @property
@@ -738,7 +724,7 @@ class Size:
     at_bound: bool = False  # the fit wants to go on beyond the parameter's bounds: this is no measurement of it
 
     @property
-    def ci95(self) -> tuple[float, float]:
+    def ci95(self) -> Value:
         """Mean -+ 1.96 deviations."""
         return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
 
@@ -748,9 +734,8 @@ class Confirmation:
     """What unseen data say of additions; gains of log density with their deviations."""
 
     kept: tuple[str, ...]  # additions that unseen data miss
-    missed: Mapping[str, tuple[float, float]]  # what each is missed by
-    # Of those not kept, outputs that are predicted worse with the addition.
-    harmed: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+    missed: Mapping[str, Value]  # what each is missed by
+    harmed: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)  # outputs worse with one that is not kept
 
 
 # Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
@@ -794,11 +779,9 @@ class Absorbed:
     parameter: str
     unit: str
     control: str
-    estimate: tuple[float, float]  # its value in the fit, with its deviation
-    usual: tuple[float, float]  # that of its prior
-    # By effect, how large each would be, were it the whole cause and the parameter as usual, with a deviation that
-    # knows the prior's width.
-    sizes: dict[str, Size]
+    estimate: Value  # its value in the fit, with its deviation
+    usual: Value  # that of its prior
+    sizes: dict[str, Size]  # of each effect, were it the whole cause and the parameter as usual
 
     @property
     def members(self) -> frozenset[str]:
@@ -881,8 +864,7 @@ class TestPoint:
     airspeed: float  # m/s, of the level flight in which it begins
     altitude: float  # m
     seconds: float
-    excursion: Mapping[str, tuple[float, float]]  # least and greatest of the envelope's quantities, SI
-    # By question, from the records, the earlier points and this one: standard deviations by which the closest rivals
-    # differ, or the probability to pass a tolerance.
+    excursion: Mapping[str, Value]  # least and greatest of the envelope's quantities, SI
+    # By question, with this point: deviations between the closest rivals, or the probability to pass a tolerance.
     expected: tuple[float, ...]
     rate: float  # nats a second
