@@ -194,9 +194,9 @@ def noise_shares(state: SelectionState) -> dict[str, float]:
 def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bool) -> SelectionStep:
     """The most explaining candidate, not `barred`, that is beyond chance, matters, and predicts folds left out."""
     settings, noise = state.settings, SharedNoise(seed, state.folds, len(state.outputs), state.settings)
-    screening, able = screen(state, nulls=first, noise=noise), list[CandidateScore]()
+    ranking, able = screen(state, nulls=first, noise=noise), list[CandidateScore]()
     leaders: dict[str, CandidateScore] = {}
-    for standing in (s for s in screening.candidate_scores if s.effect not in barred):
+    for standing in (s for s in ranking.candidate_scores if s.effect not in barred):
         leaders.setdefault(standing.effect, standing)
     for standing in list(leaders.values())[: settings.candidates_tried]:
         if explained(state, standing) < state.least_share(settings.least_share) or mixes_noise(state, standing):
@@ -206,14 +206,14 @@ def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bo
         able.append(standing)
         if standing.score < settings.least_score or standing.log_bayes <= 0.0:
             continue
-        if not len(screening.nulls):
+        if not len(ranking.nulls):
             projected = PartialledRegression(
                 state, state.best, [b[1] for b in state.blocks if b[0] not in state.active]
             )
-            screening = replace(screening, nulls=projected.nulls(screening.colour, noise.replicates))
-        if (p := screening.p_value(standing.score)) <= settings.false_alarm_rate:
-            return SelectionStep(standing.effect, p, screening)
-    among, alone = len(screening.candidate_scores), not state.responses.freedom
+            ranking = replace(ranking, nulls=projected.nulls(ranking.colour, noise.replicates))
+        if (p := ranking.p_value(standing.score)) <= settings.false_alarm_rate:
+            return SelectionStep(standing.effect, p, ranking)
+    among, alone = len(ranking.candidate_scores), not state.responses.freedom
     for standing in able if alone else able[: settings.candidates_refitted]:
         if alone:
             p, limit = refit_p_value(state, standing, noise), settings.false_alarm_rate
@@ -221,9 +221,9 @@ def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bo
             p = between_p_value(refitted(added(state, standing)), standing.effect, among)
             limit = settings.refit_false_alarm_rate
         if p <= limit:
-            return SelectionStep(standing.effect, p, screening)
-    highest = max((s.score for s in screening.candidate_scores if s.effect not in barred), default=0.0)
-    return SelectionStep(None, screening.p_value(highest) if len(screening.nulls) else math.nan, screening)
+            return SelectionStep(standing.effect, p, ranking)
+    highest = max((s.score for s in ranking.candidate_scores if s.effect not in barred), default=0.0)
+    return SelectionStep(None, ranking.p_value(highest) if len(ranking.nulls) else math.nan, ranking)
 
 
 def between_p_value(wider: SelectionState, effect: str, among: int) -> float:
@@ -360,8 +360,8 @@ def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
         free = [p for p in effect.parameters if p.name in state.full.model.names and len(controls) == 1]
         for parameter, column in ((p, int(state.full.columns([p.name])[0])) for p in free):
             S = state.S[state.inside][:, :, column]  # what it acts through stays in all manoeuvres, and not at zero
-            square, moved = float(np.sum(S**2)), float(np.sum((S - S.mean(axis=0)) ** 2))
-            at_rest = square > 0.0 and moved < AT_REST**2 * square
+            square, varied = float(np.sum(S**2)), float(np.sum((S - S.mean(axis=0)) ** 2))
+            at_rest = square > 0.0 and varied < AT_REST**2 * square
             if column in state.best.columns and at_rest and (sizes := _taken_up(extension, column)):
                 name, usual = parameter.name, state.full.priors.get(parameter.name, parameter.prior).normal
                 estimate = float(state.theta[column]), extension.sizes[name].sd
@@ -415,9 +415,9 @@ def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingP
     for effects, names, C in _correlated_parameters(extension, causes):
         i, j = map(int, state.full.columns(names))
         weight = 1.0 / np.mean(state.residual[state.inside] ** 2, axis=0)
-        moved = [state.scaled[state.inside][:, :, c] * state.departure[c] for c in (i, j)]
-        moved = [x - x.mean(axis=0) for x in moved]
-        one, other, both = (float(np.sum(weight * x**2)) for x in (*moved, moved[0] + moved[1]))
+        shifts = [state.scaled[state.inside][:, :, c] * state.departure[c] for c in (i, j)]
+        shifts = [x - x.mean(axis=0) for x in shifts]
+        one, other, both = (float(np.sum(weight * x**2)) for x in (*shifts, shifts[0] + shifts[1]))
         if both >= min(one, other):  # what they do to the outputs, means aside, is less together than either alone
             continue
         units = [state.full.model.free[c].unit for c in (i, j)]
