@@ -316,7 +316,7 @@ def test_an_offset_between_manoeuvres_is_told_only_beyond_chance(monkeypatch, de
         "moved": lambda *_, **__: part(SelectionState, apart=()),
         "screen": lambda *_, **__: part(ScreeningResult, candidate_scores=()), "uncertainty": lambda *_: np.eye(2),
     }.items():  # fmt: skip
-        monkeypatch.setattr(unexplained, name, given)
+        monkeypatch.setattr(unexplained if name == "moved" else unexplained.screening, name, given)
     found = unexplained.offsets_found(part(Extension, state=state))
     assert [(one.coefficient, one.channel) for one in found] == ([("Cm", "manoeuvre")] if told else [])
     for one in found:
