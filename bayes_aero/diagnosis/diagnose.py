@@ -287,6 +287,7 @@ def judged_on_held_out_flights(
 # --- What every cause gains on hold-out data beside the causes before it.
 
 NOTHING = (float("nan"), float("nan"))
+Pairs = dict[str, tuple[selection.LeftOut, selection.LeftOut]]  # hold-out data without and with each cause
 NO_GAIN = result.Gain(*NOTHING, "not measured", {}, {})
 
 
@@ -297,10 +298,10 @@ def gains_of(
     state, causes, name_of_split = extension.state, extension.causes, selection.split_name(extension.state)
     nuisances = [name for name in extension.minor if name in kept]
 
-    def chain(left_out: Callable[[list[str]], selection.LeftOut]) -> tuple[selection.LeftOut, dict]:
+    def chain(left_out: Callable[[list[str]], selection.LeftOut]) -> tuple[selection.LeftOut, Pairs]:
         """Hold-out data without any cause, and without and with each."""
         base = before = left_out([])
-        pairs, sure = {}, list[str]()
+        pairs, sure = Pairs(), list[str]()
         for number, name in enumerate(causes):
             progress("gain on hold-out data", number / len(causes))
             pairs[name] = before, left_out([*sure, name])
@@ -312,9 +313,8 @@ def gains_of(
     gained = {name: (*after.gain(before), name_of_split) for name, (before, after) in pairs.items()}
     if state.of_coefficients:
         measured = selection.measured_blocks(state)
-        return {
-            n: result.Gain(*gained[n], base.scores(measured), after.scores(measured)) for n, (_, after) in pairs.items()
-        }
+        first = base.scores(measured)
+        return {n: result.Gain(*gained[n], first, after.scores(measured)) for n, (_, after) in pairs.items()}
     if extension is aerodynamics:  # no coefficients to score
         return {name: result.Gain(*gain, {}, {}) for name, gain in gained.items()}
     card, gains = aerodynamics.base, {}
@@ -325,9 +325,10 @@ def gains_of(
         return selection.LeftOut.refitted(moved(card, theta, ()))
 
     measured, (base, pairs) = selection.measured_blocks(card), chain(corrected)
+    first = base.scores(measured)
     for name, (before, after) in pairs.items():  # what each correction does to the coefficients, and what it worsens
         worse = state.settings.degraded(after.output_gains(before))
-        gains[name] = result.Gain(*gained[name], base.scores(measured), after.scores(measured), worse)
+        gains[name] = result.Gain(*gained[name], first, after.scores(measured), worse)
     return gains
 
 
