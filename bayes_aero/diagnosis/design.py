@@ -86,7 +86,8 @@ def next_test_points(
 ) -> TestPoints:
     """Choose them for ambiguity sets, at the sizes at which the effects of each are told apart, inside an envelope."""
     names = sorted(frozenset().union(*sets))
-    chosen, noise = candidates_of(state, names), noise_of(state)
+    effects, noise = {e.name: e for e in state.full.model.effects}, noise_of(state)
+    chosen = [effects[name] for name in names]
     variants = variants_of(state if theta is None else replace(state, theta=theta), names, envelope)
     records, questions = on_record(state, chosen, noise), []
     present = information_of(records, noise)
@@ -108,17 +109,6 @@ def next_test_points(
         decided=lambda information: all(q.deviations(information) >= q.enough for q in questions),
     )
     return TestPoints(tuple(questions), expected(present), points, refused_points(variants, envelope))
-
-
-def candidates_of(state: SelectionState, effects: Sequence[str]) -> list[Effect]:
-    """The effects of an ambiguity set; `InputError` if it is none."""
-    testable = {e.name: e for e in state.full.model.effects if e.parameters}
-    for name in (name for name in effects if name not in testable):
-        raise InputError(f"effect {name} is none that this record can test; choose among the candidates of the state")
-    chosen = [testable[name] for name in dict.fromkeys(effects)]
-    if len(chosen) < 2:
-        raise InputError("an ambiguity set has at least two effects")
-    return chosen
 
 
 def variants_of(state: SelectionState, effects: Sequence[str], envelope: Envelope) -> list[Standard]:
@@ -344,14 +334,6 @@ def standard(
     return Standard(small, theta, flown, seconds, excursions, refused, **start, amplitude=amplitude)
 
 
-def flights_of(state: SelectionState) -> Flights:
-    """The records of a diagnosis by coefficients. Raises `InputError` for any other."""
-    flights = state.responses.flights
-    if state.responses.kinematic:
-        raise InputError("the records were not compared by coefficients, so manoeuvres cannot be judged by them")
-    return flights
-
-
 def narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
     """The card's effects, those that are in, those chosen, and those without parameters: less to compile."""
     kept = {*state.full.base, *state.active, *chosen}
@@ -366,7 +348,6 @@ def on_record(
     state: SelectionState, chosen: Sequence[Effect], noise: ResidualNoise, flown: Standard | None = None, name: str = ""
 ) -> SelectionState:
     """The problem of `state` on its records, or on one manoeuvre of `flown`, with `chosen` effects as candidates."""
-    flights_of(state)
     full, responses, theta, outputs = state.full, state.responses, state.theta, noise.outputs
     if flown is not None:
         model, flights = flown.model, flown.flown[name]

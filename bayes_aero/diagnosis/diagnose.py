@@ -14,7 +14,7 @@ from scipy import stats
 
 from bayes_aero.diagnosis import result, selection
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts, open_errors
-from bayes_aero.diagnosis.design import flights_of, narrowed
+from bayes_aero.diagnosis.design import narrowed
 from bayes_aero.diagnosis.screening import CandidateScore, lag1_within, screen, uncertainty
 from bayes_aero.diagnosis.search import Search, SearchResult
 from bayes_aero.diagnosis.selection_state import (
@@ -641,7 +641,7 @@ def causes_in_band(diagnosis: result.Diagnosis) -> result.CausesInBand | None:
     state = diagnosis.aerodynamics.state
     wanted = {p: c for p, c in wanted.items() if c.name in state.active}
     model, start = with_sensor_errors_held(state)
-    flights = flights_of(state)
+    flights = state.responses.flights
     band = band_of(flights)
     responses = FrequencyError.in_band(flights, model, band)
     fit = without_noise_bias_in_band(fit_in_band(responses, model.free, start, band), responses, model.free)
