@@ -23,11 +23,11 @@ from typing import Literal, TypeVar, get_args
 import pandas as pd
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.diagnose import diagnose as run_diagnosis
+from bayes_aero.diagnosis.diagnose import holdout_scores, view_of
 from bayes_aero.diagnosis.result import DiagnosisView, View
-from bayes_aero.diagnosis.view import holdout_scores, view_of
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
@@ -252,15 +252,13 @@ def diagnose(
     Raises:
         InputError: the records lack a channel that the model needs, or numbers in it.
     """
-    settings = settings or DiagnosisSettings()
-    if max_effects is not None:
-        settings = replace(settings, max_effects=max_effects)
+    given = {"max_effects": max_effects, "process_noise": process_noise}
+    settings = replace(settings or DiagnosisSettings(), **{n: x for n, x in given.items() if x is not None})
     own = _card(card)
     records = _sound(records, own)
     if model is None:
         own, _ = on_recorded_axes(own, records)
-    asked = {"settings": settings, "seed": seed, "process_noise": process_noise}
-    found = run_diagnosis(records, own, model=model, extra=candidates, **asked)
+    found = run_diagnosis(records, own, model=model, settings=settings, seed=seed, extra=candidates)
     known = errors_of_diagnosis(found) if found.by_coefficients else None
     return Diagnosed(view_of(found), own, record_checks(records, own, seed, known=known, seek=False))
 

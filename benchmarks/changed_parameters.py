@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from out_of_catalogue import AT, changed
 
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.simulate.injection import hidden_records
@@ -44,7 +45,7 @@ def main() -> None:
     for seed in seeds_of(asked):
         records, name, size = flown(seed, asked.what == "change")
         began = time.perf_counter()
-        found = diagnose(records, card, seed=seed, gains_wanted=False)
+        found = diagnose(records, card, seed=seed, settings=DiagnosisSettings(gains=False))
         seconds = time.perf_counter() - began
         first = next(iter(found.changes), None)
         right = first is not None and name in (first.parameter, *first.ambiguous_with)

@@ -30,6 +30,7 @@ from out_of_catalogue import UNKNOWN
 from out_of_catalogue import unknown as of_no_catalogue
 
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
@@ -66,7 +67,7 @@ def case(kind: str, seed: int, length: dict, trajectories: bool) -> dict:
     if trajectories:
         found = diagnose([without_accelerometers(r) for r in records], read_card("attas"), seed=seed)
     else:
-        found = diagnose(records, read_card("attas"), seed=seed, gains_wanted=False)
+        found = diagnose(records, read_card("attas"), seed=seed, settings=DiagnosisSettings(gains=False))
     return {
         "seed": seed,
         "noise": noise,

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from studies import standard_scores
 
-from bayes_aero.diagnosis.candidate_set import DERIVED
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection_state import DERIVED, DiagnosisSettings
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -64,7 +64,7 @@ def main() -> None:
     given = parser.parse_args()
     card = read_card("attas")
     records = [read_record(path, card.channels) for path in given.records]
-    plain = diagnose(records, card, seed=given.seed, gains_wanted=False)
+    plain = diagnose(records, card, seed=given.seed, settings=DiagnosisSettings(gains=False))
     before = sizes_of(plain)
     Cmde = plain.base_moves["Cmde"][1]  # of the extended model, in which a moment has to be held
     print(f"elevator effectiveness of the extended model {Cmde:.3f} 1/rad")
@@ -76,7 +76,12 @@ def main() -> None:
             parameter, least, most = INJECTED[name]
             size = float(rng.choice([-1.0, 1.0]) * rng.uniform(least, most))
             hidden = {name: {parameter: size}}
-            found = diagnose(injected(records, hidden, card, Cmde=Cmde), card, seed=given.seed, gains_wanted=False)
+            found = diagnose(
+                injected(records, hidden, card, Cmde=Cmde),
+                card,
+                seed=given.seed,
+                settings=DiagnosisSettings(gains=False),
+            )
             after = sizes_of(found)
             old, new = before.get(parameter, (0.0, 0.0)), after.get(parameter)
             also = [c.name for c in found.causes if name in c.ambiguous_with]

@@ -29,6 +29,7 @@ from stranger_six import Plane, drawn, fly
 from wing_first import card_of
 
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 
 FLOWN = ("elevator", "aileron", "rudder") * 2
 AERODYNAMIC = {
@@ -110,7 +111,7 @@ def case(seed: int) -> dict:
     records = [record(f"{FLOWN[i]}_{i}", flight, rng) for i, flight in enumerate(flights)]
     card = card_of(plane, effects)
     began = time.perf_counter()
-    found = diagnose(records, card, seed=seed, gains_wanted=False, process_noise=False)
+    found = diagnose(records, card, seed=seed, settings=DiagnosisSettings(gains=False, process_noise=False))
     return {"seed": seed, "hidden": name, "size": size, **told(found, began)}
 
 

@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from stranger import HIDDEN, Recorder, flown
 
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
 
@@ -38,7 +39,7 @@ def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool, pro
         card = read_card(str(Path(folder) / "card.toml"))
         records = [read_record(path, card.channels) for path in files]
         began = time.perf_counter()
-        found = diagnose(records, card, seed=seed, gains_wanted=False, process_noise=process_noise)
+        found = diagnose(records, card, seed=seed, settings=DiagnosisSettings(gains=False, process_noise=process_noise))
     return {
         "seed": seed,
         "hidden": name,

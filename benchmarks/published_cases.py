@@ -65,9 +65,9 @@ def fit(case: str, book: Path):
         dynamics = aircraft_dynamics(Model.from_card(card), flights, card.fly.outputs or ())
     initial = None if case.endswith("free") else card.fly.initial_state
     units = {key: channel.unit for key, channel in STANDARD_CHANNELS.items()} | channel_units(card)
-    setting = Setting(card.fly.outputs, initial, priors=False)
+    setting = Setting(card.fly.outputs, initial, priors=False, biases=card.output_biases)
     begin = time.perf_counter()
-    found = fit_trajectories(flights, dynamics, units, biases=card.output_biases, setting=setting)
+    found = fit_trajectories(flights, dynamics, units, setting=setting)
     return found.fit, time.perf_counter() - begin
 
 

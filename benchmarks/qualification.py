@@ -21,16 +21,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.diagnosis.flights import FlightNoise, posterior_draws
+from bayes_aero.diagnosis.trajectories import FlightNoise, posterior_draws
 from bayes_aero.dynamics.flight import linear_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.flight.card import Card, parse_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.model.observations import join
-from bayes_aero.qualification.flights import alone_fits, errors, fits_without, hold_out, next_parameters
-from bayes_aero.qualification.qualify import Uncertain, qualify
-from bayes_aero.qualification.result import FlightKind
+from bayes_aero.qualification import FlightKind
+from bayes_aero.qualification.qualify import (
+    Uncertain,
+    alone_fits,
+    errors,
+    fits_without,
+    hold_out,
+    next_parameters,
+    qualify,
+)
 
 CARD = """
 [channels]

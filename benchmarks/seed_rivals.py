@@ -30,8 +30,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import least_squares
 from studies import resumed
 
-from bayes_aero.diagnosis.accuracy import measured_blocks, truncated
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection import measured_blocks, truncated
 from bayes_aero.diagnosis.selection_state import moved, optimum
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records

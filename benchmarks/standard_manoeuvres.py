@@ -21,6 +21,7 @@ from hidden_effects import candidates
 from studies import parser_of, run_seeds, told
 
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -60,7 +61,7 @@ def case(seed: int) -> dict:
     except InputError as error:
         return row | {"refused": str(error)}
     began = time.perf_counter()
-    found = diagnose(records, CARD, seed=seed, gains_wanted=False, process_noise=False)
+    found = diagnose(records, CARD, seed=seed, settings=DiagnosisSettings(gains=False, process_noise=False))
     row |= {"before": told(found, began), "points": proposed_points(found, CARD.envelope)}
     if row["points"].get("points"):
         for k, p in enumerate(row["points"]["points"]):
@@ -69,7 +70,9 @@ def case(seed: int) -> dict:
                 records.append(flown(effects, 100 * seed + 50 + k, f"point {k + 1}", duration=p["seconds"], **asked))
             except InputError as error:
                 row.setdefault("not_flown", []).append(str(error))
-        row["after"] = told(diagnose(records, CARD, seed=seed, gains_wanted=False, process_noise=False), began)
+        row["after"] = told(
+            diagnose(records, CARD, seed=seed, settings=DiagnosisSettings(gains=False, process_noise=False)), began
+        )
     return row
 
 
@@ -117,7 +120,9 @@ def unlike(seed: int, silent: bool) -> dict:
     except InputError as error:
         return row | {"refused": str(error)}
     began = time.perf_counter()
-    return row | told(diagnose(records, CARD, seed=seed, gains_wanted=False, process_noise=False), began)
+    return row | told(
+        diagnose(records, CARD, seed=seed, settings=DiagnosisSettings(gains=False, process_noise=False)), began
+    )
 
 
 def report_unlike(rows: list[dict], silent: bool) -> None:

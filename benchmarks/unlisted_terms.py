@@ -33,6 +33,7 @@ from bayes_aero.diagnosis.components import columns_of
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening import autocorrelation_of, block_jackknife_covariance, uncertainty
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
@@ -146,7 +147,9 @@ def case(seed: int, silent: bool, without: bool, gusts: float) -> dict[str, Any]
     records = [without_accelerometers(r) for r in records] if without else records
     began = time.perf_counter()
     if gusts > 0.0:
-        found = diagnose(records, read_card("hfb320"), seed=seed, process_noise=True, gains_wanted=False)
+        found = diagnose(
+            records, read_card("hfb320"), seed=seed, settings=DiagnosisSettings(process_noise=True, gains=False)
+        )
     else:
         found = diagnose(records, read_card("attas"), seed=seed)
     hidden = None if silent else hidden
@@ -174,7 +177,7 @@ def score(found: Diagnosis, coefficient: str, name: str, values: dict[str, float
         return None
     whole = state.with_components((), [own[0].component], state.folds)
     fit = whole.fit()
-    variance = uncertainty(whole, fit, autocorrelation_of(whole.left(fit), whole.folds))[-1, -1]
+    variance = uncertainty(whole, autocorrelation_of(whole.left(fit), whole.folds))[-1, -1]
     if state.responses.parts is not None:
         variance = max(variance, block_jackknife_covariance(whole, fit)[1][-1, -1])
     return abs(values["unlisted_product"]) * own[0].scale / float(np.sqrt(variance))

@@ -60,7 +60,7 @@ def without_rivals(state: SelectionState) -> SelectionState:
     """The flight path's errors without position and lag."""
     for name in RIVALS:
         if name in state.active:
-            state, _ = refitted(removed(state, name))
+            state = refitted(removed(state, name))
     return state
 
 

@@ -27,6 +27,7 @@ from six_axes import LATERAL, LONGITUDINAL, STALL, card_text, recorded
 from stranger_six import Plane, Strips, drawn, fly
 
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.diagnose import proposed_points
@@ -83,7 +84,7 @@ def case(seed: int, only: tuple[str, ...] = tuple(FLOWN)) -> dict:
     plane, records, size = flown(seed)
     records = [record for record in records if record.name in only]
     began = time.perf_counter()
-    found = diagnose(records, card_of(plane), seed=seed, gains_wanted=False, process_noise=False)
+    found = diagnose(records, card_of(plane), seed=seed, settings=DiagnosisSettings(gains=False, process_noise=False))
     points = [p["manoeuvre"] for p in proposed_points(found).get("points", ())]
     return {"seed": seed, "hidden": hidden(seed), "size": size, **told(found, began), "manoeuvres": points}
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import typechecker  # noqa: F401  (before the package is imported)
 
-from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
-from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.view import view_of
+from bayes_aero.diagnosis.diagnose import diagnose, view_of
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
 from bayes_aero.model.model import Model

@@ -25,9 +25,9 @@ from typechecker import check_once
 import bayes_aero as ba
 import bayes_aero.effects as effects
 from bayes_aero.cli.fits import identify as command
-from bayes_aero.diagnosis import candidate_set
-from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
+from bayes_aero.diagnosis import selection_state
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight import reading
@@ -233,7 +233,7 @@ def traced():
 def test_records_of_other_names_run_the_compiled_programs(traced, diagnosed, card, monkeypatch):
     """After one diagnosis, of few effects, the same flight under another name compiles nothing."""
     few = ("thrust_moment", "pitch_rate_bias", "alpha_squared_moment", "alpha_bias")
-    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in few})
+    monkeypatch.setattr(selection_state, "CATALOGUE", {name: CATALOGUE[name] for name in few})
     (record,) = diagnosed.records
     settings = DiagnosisSettings(max_effects=2)
     first = diagnose([record], card, settings=settings)

@@ -6,20 +6,37 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from bayes_aero.diagnosis.accuracy import holdout_deviance_gain
-from bayes_aero.diagnosis.candidate_set import moves, noise_channels
-from bayes_aero.diagnosis.result import ProductTerm, TermFactor
-from bayes_aero.diagnosis.screening import autocorrelation_of, chance_of, null_shares
-from bayes_aero.diagnosis.selection_state import Component, RegressionFit, SelectionState, manoeuvre_constants
+from bayes_aero.diagnosis import screening
+from bayes_aero.diagnosis.result import ParameterChange, ProductTerm, TermFactor
+from bayes_aero.diagnosis.selection import holdout_deviance_gain, recording_noise
+from bayes_aero.diagnosis.selection_state import (
+    TINY,
+    Component,
+    RegressionFit,
+    SelectionState,
+    constants_of_manoeuvres,
+    inverse,
+    manoeuvres,
+    moved,
+    moves,
+    noise_channels,
+    optimum,
+)
+from bayes_aero.effect import Kind, Stage
 from bayes_aero.flight.health import noise_of
-from bayes_aero.inference.covariance import ORDER
+from bayes_aero.inference.covariance import ORDER, nats
 from bayes_aero.physics.aircraft import LATERAL, Aircraft
 from bayes_aero.physics.kinematics import reduced, reduced_lateral
 from bayes_aero.residuals.base import Signals
+
+Rows = Float[np.ndarray, "m c"]
+Columns = Int[np.ndarray, " k"]
+Folds = Sequence[slice]
 
 # --- Terms that nobody listed: products, breaks, bumps, what acts in separated flow alone, memory.
 # A term is a product of factors. A factor is a nondimensional quantity of the flight, a function of the angle of
@@ -203,17 +220,16 @@ def _in_each(
 
 def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
     """Coefficients whose mean residual differs between manoeuvres beyond chance, as that of a function must."""
-    left = [c for c in state.outputs if c not in state.apart]
+    left, settings = [c for c in state.outputs if c not in state.apart], state.settings
     if len(state.responses.flights.lengths) == 1 or not left or not has_chunks(state):
         return ()
-    folds, constants = chunks(state), manoeuvre_constants
-    manoeuvre = state.responses.manoeuvre
-    components = [Component(c, "manoeuvre", constants(manoeuvre, state.outputs, c)[:, :, 1:]) for c in left]
+    folds, of = chunks(state), (state.full, state.responses.manoeuvre, state.outputs, state.S)
+    components = [Component(c, "manoeuvre", constants_of_manoeuvres(*of, c)[:, :, 1:]) for c in left]
     whole, differing = state.with_components(components, (), folds), []
     for component in components:
         trial = Trial(state, component, (), folds)
-        enough = trial.share >= state.settings.unnamed_share and trial.gain > 0.0
-        if enough and trial.chance([whole], seed) <= state.settings.unnamed_false_alarm_rate:
+        enough = trial.share >= settings.unnamed_share and trial.gain > 0.0
+        if enough and trial.chance([whole], seed) <= settings.unnamed_false_alarm_rate:
             differing.append(component.coefficient)
     return tuple(differing)
 
@@ -243,40 +259,37 @@ def has_chunks(state: SelectionState) -> bool:
 def in_batches(state: SelectionState, components: Sequence[Component], folds: Sequence[slice]) -> list[list[Component]]:
     """The components in as few sets as memory allows: inner products of all columns grow with their number squared."""
     each = 8.0 * len(folds) * state.residual.shape[1]  # bytes of one pair of columns
-    most = max(int(np.sqrt(BYTES / each)) - state.S.shape[2], 1)
-    batches: list[list[Component]] = [[]]
-    width = 0
+    most, batches, width = max(int(np.sqrt(BYTES / each)) - state.S.shape[2], 1), list[list[Component]](), 0
     for component in components:
-        wide = component.basis.shape[2]
-        if batches[-1] and width + wide > most:
+        if not batches or width + component.basis.shape[2] > most:
             batches.append([])
             width = 0
         batches[-1].append(component)
-        width += wide
-    return batches
+        width += component.basis.shape[2]
+    return batches or [[]]
 
 
 class Trial:
     """A component as the only candidate beside those `chosen`, and the fit with it in."""
 
     def __init__(
-        self,
-        state: SelectionState,
-        component: Component,
-        chosen: Sequence[Component] = (),
-        folds: Sequence[slice] | None = None,
+        self, state: SelectionState, component: Component, chosen: Sequence[Component] = (), folds: Folds | None = None
     ) -> None:
         self.state = state.with_components((component,), chosen, folds)
         self.wide = self.state.wider(self.state.component_columns[0])
 
     @cached_property
     def fit(self) -> RegressionFit:
-        return self.state.fit_columns(self.wide)
+        return self.state.fit(self.wide)
+
+    @property
+    def left(self) -> Rows:
+        return self.state.left(self.fit)
 
     @cached_property
     def share(self) -> float:
         """Share of a coefficient's remaining variance that it takes away, at best over the coefficients."""
-        return float(np.max(1.0 - self.fit.variance / self.state.fit().variance))
+        return float(np.max(1.0 - self.fit.variance / self.state.best.variance))
 
     @cached_property
     def gain(self) -> float:
@@ -284,9 +297,10 @@ class Trial:
 
     def chance(self, among: Sequence[SelectionState], seed: int) -> float:
         """How often noise of the colour that is left alone lets some component of these explain as large a share."""
-        colour = autocorrelation_of(self.state.left(self.fit), self.state.folds)
-        nulls = [null_shares(state, colour, self.fit.variance, seed) for state in among]
-        return chance_of(self.share, np.max(nulls, axis=0))
+        colour = screening.autocorrelation_of(self.left, self.state.folds)
+        return screening.chance_of(
+            self.share, np.max([screening.null_shares(x, colour, self.fit.variance, seed) for x in among], axis=0)
+        )
 
 
 # --- The library's terms, and polynomials, as columns of a regression.
@@ -381,3 +395,305 @@ def _able(state: SelectionState, signals: Signals) -> Callable[[str], bool]:
     flights = state.responses.flights
     noise = noise_channels(flights)
     return lambda channel: channel in signals and channel not in noise and moves(signals[channel], flights, 1e-6)
+
+
+# --- A parameter of the model that takes another value during the records: is there one beyond chance, and where.
+# The largest gain over all parameters and moments is compared with that in noise-only replicates, which make the same
+# choice. Then the change must explain enough and predict parts of the manoeuvres that it was not fitted to.
+
+
+@dataclass(frozen=True)
+class FoundComponent:
+    """A component that is taken for real, and the state in which it was found."""
+
+    state: SelectionState
+    component: Component
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class FoundChange(FoundComponent):
+    """A change of a parameter that is beyond chance, with what it was judged by."""
+
+    at: tuple[int, int]  # its place in the scan (span, parameter)
+    unit: float  # what a step of one is of the component
+    scan: ChangeScan
+    residual: Rows
+    colour: screening.Autocorrelation
+    gain: float  # deviance that it takes away
+    gained: float  # deviance of the parts left out
+
+
+def sought_change(
+    state: SelectionState, chosen: Sequence[Component], *, seed: int, least: float = 0.0
+) -> FoundChange | None:
+    """The change that explains most beside the `chosen` components, if it predicts left-out parts beyond `least`."""
+    settings, alone = state.settings, len(state.responses.flights.lengths) == 1
+    first = _promising(state, chosen, least) if testable(state) else None
+    if first is None:
+        return None
+    # All active parameters at their optimum with it beside them.
+    wide, folds = state.with_components((), [*chosen, first[0]]), manoeuvres(state.responses.manoeuvre)
+    state = moved(state, optimum(wide, range(len(state.folds))))
+    whole, wider = state.with_components((), chosen, folds), Trial(state, first[0], chosen, folds).fit
+    # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
+    held = whole.fit(held=wider.variance)
+    scan, residual = ChangeScan(whole, held, first[1].columns, first[1].over, first[1].noise), whole.left(held)
+    at, _, _ = scan.leader(residual)
+    component, unit = scan.component(state, at)
+    trial, gained = Trial(state, component, chosen, folds), holdout_gain_of(state, component, chosen)
+    enough = trial.share >= (settings.single_share if alone else settings.change_share) and gained > least
+    if not enough or _by_noise(trial, scan, at, unit):
+        return None
+    # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
+    noise = screening.SharedNoise(seed, folds, len(state.outputs), settings)
+    colour = screening.autocorrelation_of(trial.left, folds)
+    again = [scan.without_leader(x) for x in screening.noise_records(whole, held, colour, noise.correction)]
+    colour = screening.unbiased(colour, screening.autocorrelations_of(np.array(again), folds))
+    nulls = [scan.statistic(x) for x in screening.noise_records(whole, held, colour, noise.replicates)]
+    p = screening.chance_of(scan.statistic(residual), np.array(nulls))
+    if p > settings.change_false_alarm_rate:
+        return None
+    gain = whole.best.deviance - trial.fit.deviance
+    return FoundChange(state, component, trial.share, p, at, unit, scan, residual, colour, gain, gained)
+
+
+def testable(state: SelectionState) -> bool:
+    """Whether the state is of coefficients that are modelled, and every manoeuvre long enough to be divided."""
+    long = all(part.stop - part.start > ORDER for part in parts_of(state, state.settings.change_parts))
+    return state.of_coefficients and long and all(map(len, _scanned(state)))
+
+
+def _scanned(state: SelectionState) -> tuple[Columns, list[Span]]:
+    """Columns of the parameters of the aerodynamics that are in, and the times at which they may change."""
+    acting = [e for e in state.full.model.effects if e.kind is Kind.AERODYNAMICS and e.stage > Stage.INFLOW]
+    own, names = {p for e in acting for p in state.full.parameters_of(e.name)}, state.full.model.names
+    columns = np.array([c for c in state.columns() if c < len(names) and names[c] in own], int)
+    least = max(1, round(state.settings.change_least / state.responses.seconds))
+    return columns, spans(state.responses.manoeuvre, least, state.settings.change_begins)
+
+
+def _promising(state: SelectionState, chosen: Sequence[Component], least: float) -> tuple[Component, ChangeScan] | None:
+    """The change that explains most to first order, if that is worth another look."""
+    whole, (columns, over) = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre)), _scanned(state)
+    # What noise of the recorded size adds to the sensitivities, scaled as those are. Added once more it adds as much as
+    # the noise that is there already, as in `selection.noise_effect`.
+    flights, rng, fit = state.responses.flights, np.random.default_rng(0), whole.best
+    added = {n: sd * rng.standard_normal(flights.n) for n, sd in recording_noise(flights).items()}
+    noisy = flights.channels | {name: flights.channels[name] + x for name, x in added.items()}
+    slopes = state.responses.with_channels(noisy).linearise(state.theta, columns)[1][:, state.kept_outputs]
+    scan = ChangeScan(whole, fit, columns, over, slopes / state.noise_growth[:, :, None] - state.scaled[:, :, columns])
+    at, gain, _ = scan.leader(whole.left())
+    if gain < state.settings.least_share * len(state.residual):
+        return None
+    component, _ = scan.component(state, at)
+    return (component, scan) if holdout_gain_of(state, component, chosen) > least else None
+
+
+def _by_noise(trial: Trial, scan: ChangeScan, place: tuple[int, int], unit: float) -> bool:
+    """Whether one value, made too small by noise on either side of the change, explains it."""
+    # To first order a share s of noise takes s of a value away; what lies between a value and that with twice as much
+    # given back may be its truth.
+    column = int(scan.columns[place[1]])
+    (at,) = trial.fit.places([column])
+    elsewhere = float(trial.state.theta[column] + trial.fit.step[at])
+    values = elsewhere + unit * float(trial.fit.step[-1]), elsewhere
+    shares = scan.noise_shares[:, place[0], place[1]]
+    least, most = np.sort([np.array([x, x / max(1.0 - 2.0 * s, TINY)]) for x, s in zip(values, shares, strict=True)]).T
+    return bool(np.max(least) <= np.min(most))
+
+
+def holdout_gain_of(state: SelectionState, component: Component, chosen: Sequence[Component]) -> float:
+    """Deviance that a component gains on parts of the manoeuvres that were left out, each predicted from the others."""
+    return Trial(state, component, chosen, parts_of(state, state.settings.change_parts)).gain
+
+
+# --- Every moment at which a parameter may take another value, all parameters at once, from cumulated products.
+# The direction of a change is the parameter's sensitivity from that moment on, the free parameters of the model
+# projected out. Inner products of such directions are differences of sums over time, so a record of minutes costs
+# milliseconds.
+# What a parameter acts through is recorded with noise, which makes its value too small: where a slope is attenuated
+# by noise alone, the parameter has not changed.
+
+NOTHING = 1e-9  # of the information of the whole parameter, below which a change of it moves nothing
+NOISY = 0.5  # share of noise beyond which a value is that of noise
+
+
+class Span(NamedTuple):
+    """Blocks over which a parameter has another value, [begin, end); `manoeuvre` is the number of that of the first."""
+
+    manoeuvre: int
+    begin: int
+    end: int
+
+
+def spans(manoeuvre: Int[np.ndarray, " m"], least: int, most: int) -> list[Span]:
+    """From a block on, to the end of its manoeuvre or of all later ones; `least` blocks at either end are undivided."""
+    count, m = int(manoeuvre[-1]) + 1, len(manoeuvre)
+    changes = []
+    for k in range(count):
+        own = np.flatnonzero(manoeuvre == k)
+        first, last = int(own[0]), int(own[-1]) + 1
+        begins = [*([first] if k else []), *range(first + least, last - least + 1, -(-m // most))]
+        # The records may be of one flight, where a change lasts, or of several, where it does not.
+        ends = {m} if k == count - 1 else {last, m}
+        changes += [Span(k, begin, end) for begin in begins for end in sorted(ends)]
+    return changes
+
+
+class ChangeScan:
+    """Directions of the changes of p parameters over each of n spans; recording noise adds `noise` to sensitivities."""
+
+    def __init__(
+        self,
+        state: SelectionState,
+        fit: RegressionFit,
+        columns: Int[np.ndarray, " p"],
+        over: Sequence[Span],
+        noise: Float[np.ndarray, "m c p"],
+    ) -> None:
+        self.columns, self.over, self.noise, self.weight = columns, over, noise, 1.0 / fit.variance
+        self._S, self._B = state.scaled[:, :, columns], state.scaled[:, :, fit.columns]
+        self._begin, self._end = (np.array([getattr(span, side) for span in over]) for side in ("begin", "end"))
+        self._weighed = self._S * self.weight[:, None]
+        own = self._summed(np.sum(self._S * self._weighed, axis=1))
+        cross = self._summed(np.matmul(np.moveaxis(self._weighed, 1, 2), self._B))
+        self._shares = cross @ inverse(fit.normal)  # n p k
+        information = own - np.sum(self._shares * cross, axis=2)
+        self.noise_shares = self._noise_shares(fit, own, cross)
+        whole, noisy = np.sum(self._S * self._weighed, axis=(0, 1)), np.any(self.noise_shares > NOISY, axis=0)
+        self._idle = noisy | (information <= NOTHING * whole)  # what the model can do as well
+        self.information = np.where(self._idle, 1.0, information)
+
+    def _noise_shares(self, fit: RegressionFit, own: np.ndarray, cross: np.ndarray) -> np.ndarray:
+        """Share of noise in what tells the value of each parameter within each span, and in what tells it elsewhere."""
+
+        def form(x: Float[np.ndarray, "n k"], y: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+            return np.sum((x @ others) * y, axis=1)
+
+        added = np.einsum("mcp,c->mp", self.noise**2, self.weight)
+        within = self._summed(added)
+        noise = np.stack([within, np.sum(added, axis=0) - within])
+        # By it least squares makes that value too small. All other parameters have one value, fitted beside both.
+        whole = np.sum(self._S * self._weighed, axis=(0, 1))
+        shared, shares = inverse(fit.normal), np.zeros_like(noise)
+        for p, column in enumerate(self.columns):
+            (at,) = fit.places([column])
+            others = shared - np.outer(shared[:, at], shared[at]) / shared[at, at]  # without the parameter itself
+            total = np.einsum("mc,mck->k", self._weighed[:, :, p], self._B)
+            inside, outside = cross[:, p], total - cross[:, p]
+            a, b = own[:, p] - form(inside, inside), whole[p] - own[:, p] - form(outside, outside)
+            c = -form(inside, outside)
+            information = np.stack([a - c**2 / np.maximum(b, TINY), b - c**2 / np.maximum(a, TINY)])
+            shares[:, :, p] = noise[:, :, p] / np.maximum(information, TINY)
+        return shares
+
+    def _summed(self, x: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
+        total = np.concatenate([np.zeros((1, *x.shape[1:])), np.cumsum(x, axis=0)])
+        return total[self._end] - total[self._begin]
+
+    def estimates(self, residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "n p"]:
+        """First-order estimate of each change; zero where it moves nothing that the model cannot."""
+        weighed = residual * self.weight
+        beside = self._shares @ np.einsum("mck,mc->k", self._B, weighed)
+        right = self._summed(np.einsum("mcp,mc->mp", self._S, weighed)) - beside
+        return np.where(self._idle, 0.0, right / self.information)
+
+    def gains(self, estimates: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n p"]:
+        return estimates**2 * self.information
+
+    def leader(self, residual: Rows) -> tuple[tuple[int, int], float, float]:
+        """The change that explains most of a residual: its place, the deviance that it takes away, its estimate."""
+        estimates = self.estimates(residual)
+        gains = self.gains(estimates)
+        span, parameter = np.unravel_index(int(np.argmax(gains)), gains.shape)
+        at = int(span), int(parameter)
+        return at, float(gains[at]), float(estimates[at])
+
+    def without_leader(self, residual: Rows) -> Rows:
+        at, _, estimate = self.leader(residual)
+        return residual - self.explained(*at, estimate)
+
+    def statistic(self, residual: Rows) -> float:
+        gain = self.leader(residual)[1]
+        return gain / (float(np.sum(residual**2 * self.weight)) - gain)
+
+    def component(self, state: SelectionState, at: tuple[int, int]) -> tuple[Component, float]:
+        """What a change adds, about as large as the residuals, and its size."""
+        span, column = self.over[at[0]], int(self.columns[at[1]])
+        basis = np.zeros((*state.residual.shape, 1))
+        basis[span.begin : span.end, :, 0] = state.S[span.begin : span.end, :, column]
+        unit = 1.0 / float(np.sqrt(np.max(np.mean(basis**2, axis=0))))
+        return Component(state.full.model.names[column], f"blocks from {span.begin}", unit * basis), unit
+
+    def explained(self, span: int, parameter: int, estimate: float) -> Float[np.ndarray, "m c"]:
+        """What a change of this size takes away of the residual, scaled as that is."""
+        explained = -self._B @ self._shares[span, parameter]
+        here = slice(self._begin[span], self._end[span])
+        explained[here] += self._S[here, :, parameter]
+        return estimate * explained
+
+
+# --- What is reported of a change: the parameter before and after, when, and what else explains as much.
+
+NEAREST = 200  # moments that are compared with the best one, those that explain most
+
+
+def reported_change(
+    state: SelectionState, change: FoundChange, chosen: Sequence[Component], election: screening.ScreeningResult | None
+) -> ParameterChange:
+    """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
+    span, column = change.scan.over[change.at[0]], int(change.scan.columns[change.at[1]])
+    begin, parameter = int(np.argmax(state.responses.manoeuvre == span.manoeuvre)), state.full.model.free[column]
+    before, after, size = _sizes(state, change, chosen, column)
+    nearest, rivals, inflation = _as_good(state, change)
+    seconds, scores = state.responses.seconds, [] if election is None else election.candidate_scores
+    effects = [s.effect for s in scores if nats(change.gain - s.gain, inflation) < state.settings.ambiguous]
+    return ParameterChange(
+        parameter=parameter.name,
+        unit=parameter.unit,
+        manoeuvre=state.responses.flights.names[span.manoeuvre],
+        at=(span.begin - begin) * seconds,  # a block is as fine as it gets
+        interval=(max(nearest[0] - 1 - begin, 0) * seconds, (nearest[1] + 1 - begin) * seconds),
+        lasts=span.end == len(state.residual),
+        before=before,
+        after=after,
+        size=size,
+        share=change.share,
+        p_value=change.p_value,
+        gain=nats(change.gained, inflation),
+        ambiguous_with=tuple(dict.fromkeys([*rivals, *effects])),
+    )
+
+
+def _sizes(state: SelectionState, change: FoundChange, chosen: Sequence[Component], column: int) -> list[tuple]:
+    """Value before, after, and their difference, with standard errors; all that is in is fitted beside."""
+    whole = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre))
+    fit, widths = whole.best, [c.basis.shape[2] for c in chosen]
+    place = len(fit.columns) - sum(widths) + sum(widths[: [c is change.component for c in chosen].index(True)])
+    (at,), combinations = fit.places([column]), np.zeros((3, len(fit.columns)))
+    combinations[[0, 1], at], combinations[[1, 2], place] = 1.0, change.unit
+    variance = np.einsum("ai,ij,aj->a", combinations, screening.uncertainty(whole), combinations)
+    values = combinations @ fit.step + state.theta[column] * np.array([1.0, 1.0, 0.0])
+    return [(float(x), float(sd)) for x, sd in zip(values, np.sqrt(np.maximum(variance, 0.0)), strict=True)]
+
+
+def _as_good(state: SelectionState, change: FoundChange) -> tuple[tuple[int, int], list[str], float]:
+    """First and last block where it may begin as well; other parameters that explain as much; variance inflation."""
+    scan, settings, (span, parameter) = change.scan, state.settings, change.at
+    estimates = scan.estimates(change.residual)
+    gains, own = scan.gains(estimates), scan.over[span]
+    same = [i for i, other in enumerate(scan.over) if (other.manoeuvre, other.end) == (own.manoeuvre, own.end)]
+    same = sorted(same, key=lambda i: -gains[i, parameter])[:NEAREST]
+    others = [(int(best), p) for p, best in enumerate(np.argmax(gains, axis=0)) if p != parameter]
+    places = [(span, parameter), *((i, parameter) for i in same), *others]
+    # Two changes are told from each other by the residual along the difference of what they explain.
+    apart = np.stack([scan.explained(*place, float(estimates[place])) for place in places], axis=2)
+    apart[:, :, 1:] = apart[:, :, :1] - apart[:, :, 1:]
+    inflation = screening.inflation_along(apart, scan.weight, manoeuvres(state.responses.manoeuvre), change.colour)
+    lost = [nats(float(gains[span, parameter] - gains[p]), float(x)) for p, x in zip(places, inflation, strict=True)]
+    times = [scan.over[i].begin for i, x in zip(same, lost[1:], strict=False) if x <= settings.change_interval]
+    names = [state.full.model.names[scan.columns[p]] for _, p in others]
+    rivals = sorted((x, name) for x, name in zip(lost[1 + len(same) :], names, strict=True) if x < settings.ambiguous)
+    return (min(times), max(times)), [name for _, name in rivals], float(inflation[0])

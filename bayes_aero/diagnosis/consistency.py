@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from enum import IntEnum
+from dataclasses import replace
 from itertools import groupby, pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.fft import next_fast_len
 
-from bayes_aero.diagnosis.accuracy import sizes
-from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model
 from bayes_aero.diagnosis.result import Diagnosis, Size
 from bayes_aero.diagnosis.screening import largest_p_value, screen
 from bayes_aero.diagnosis.selection import (
@@ -22,17 +19,21 @@ from bayes_aero.diagnosis.selection import (
     SelectionStep,
     correlated,
     explained,
-    forward_selection,
     nats_gained,
     plausible,
     removed,
+    selected,
+    sizes,
     without_hold,
     worth,
 )
 from bayes_aero.diagnosis.selection_state import (
     TINY,
-    RegressionFit,
+    CandidateModel,
+    DiagnosisSettings,
     SelectionState,
+    by_manoeuvre,
+    candidate_model,
     inverse,
     linearised,
     moved,
@@ -54,8 +55,7 @@ from bayes_aero.physics.kinematics import PATH_CORE, PATH_NEEDS, RATES, STRAIGHT
 from bayes_aero.residuals.base import FlightPathError, rolled_unseen
 
 
-@dataclass(frozen=True)
-class KnownErrors:
+class KnownErrors(NamedTuple):
     """Errors of the record that were found."""
 
     effects: tuple[Effect, ...]  # on the record, or on where its sensors are
@@ -102,14 +102,13 @@ def errors_of_path(known: Extension) -> KnownErrors:
     plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in effects}
     undecided = []
     for extension in everything:
-        for name, partners in ((name, with_) for name, with_ in without_hold(extension).items() if with_):
-            parameter = named[name].parameters[0]
-            x = extension.sizes[parameter.name]
-            entry = OpenError(name, parameter.unit, x.mean, x.sd, x.sd, False, tuple(partners), 1.0, dict(partners))
-            undecided.append(entry)
+        for name, partners in without_hold(extension).items():
+            if partners:
+                parameter = named[name].parameters[0]
+                x, others = extension.sizes[parameter.name], (tuple(partners), 1.0, dict(partners))
+                undecided.append(OpenError(name, parameter.unit, x.mean, x.sd, x.sd, False, *others))
     unheld = {entry.name for entry in undecided}
-    undecided += [e for e in open_errors(known) if e.name not in unheld]
-    return KnownErrors(tuple(effects), plain, tuple(undecided))
+    return KnownErrors(tuple(effects), plain, (*undecided, *(e for e in open_errors(known) if e.name not in unheld)))
 
 
 def errors_of_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
@@ -125,34 +124,29 @@ def errors_of_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
     )
 
 
-def _plain(effect: Effect, sizes: Mapping[str, Size], joint: Mapping[str, float], *, minor: bool) -> dict[str, Any]:
-    of = {p: sizes[p.name] for p in effect.parameters}
+def _plain(effect: Effect, estimates: Mapping[str, Size], joint: Mapping[str, float], *, minor: bool) -> dict[str, Any]:
+    of = {p: estimates[p.name] for p in effect.parameters}
     parameters = {p.name: {"mean": size.mean, "sd": size.sd, "unit": p.unit} for p, size in of.items()}
     return {"claim": effect.claim, "minor": minor, "parameters": parameters, "joint": dict(joint)}
 
 
 def checks(flights: Flights, card: Card, seed: int) -> tuple[PathCheck, ...]:
-    """`path_check` of each manoeuvre, with the sensors where `flights` say that they are."""
-    card = replace(card, aircraft=flights.aircraft)
-    return tuple(path_check(name, time, channels, card, seed) for name, time, channels in _manoeuvres(flights))
+    return tuple(path_check(path) for path in _paths(flights, card, seed))
 
 
 def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict[str, float]:
     """Records whose flight path shows that the air was not calm, with the standard deviation of their gusts, m/s."""
     if no_flight_path(records, card):  # then none are known
         return {}
-    flights = _flights(records, card)
-    gusts_by_record = {name: gusts_met(time, channels, card, seed) for name, time, channels in _manoeuvres(flights)}
+    gusts_by_record = {path.name: path.gusts_shown() for path in _paths(_flights(records, card), card, seed)}
     return {name: gusts for name, gusts in gusts_by_record.items() if gusts > CALM}
 
 
-def _manoeuvres(flights: Flights) -> Iterator[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
-    begin = 0
-    for name, length in zip(flights.names, flights.lengths, strict=True):
-        part = slice(begin, begin + length)
-        channels = {n: np.asarray(x)[part] for n, x in flights.channels.items() if n in PATH_NEEDS}
-        yield name, np.asarray(flights.time)[part], channels
-        begin += length
+def _paths(flights: Flights, card: Card, seed: int) -> list[_RecordedPath]:
+    channels = {n: by_manoeuvre(np.asarray(x), flights) for n, x in flights.channels.items() if n in PATH_NEEDS}
+    times, at = by_manoeuvre(np.asarray(flights.time), flights), flights.aircraft.accelerometer
+    parts = [{n: x[k] for n, x in channels.items()} for k in range(len(times))]
+    return [_RecordedPath(*one, card, at, seed) for one in zip(flights.names, times, parts, strict=True)]
 
 
 # --- Do the sensors agree? The flight path alone, before any aerodynamics.
@@ -174,18 +168,16 @@ def check_sensors(
     # Where one is larger than sensors have, all is selected again without it; it stays, and corrects nothing, if the
     # others do not explain the record as well.
 
-    def checked(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
-        """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
-        return consistent_across_blocks(*with_several_instead(*consistent_across_blocks(state, fit)))
-
-    def selected(barred: tuple[str, ...]) -> Extension:
+    def without(barred: tuple[str, ...]) -> Extension:
         candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in (*known, *barred))
         own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
         state = linearised(own, responses, responses.outputs, theta)
-        extension = forward_selection(state, seed=seed, checked=checked)
-        return widened(extension, extension.state, extension.fit)
+        extension = selected(state, seed=seed)
+        after = with_several_instead(consistent_across_blocks(extension.state))
+        after = consistent_across_blocks(after)  # several errors, too, if stretches bear them out
+        return widened(extension, after)
 
-    extension = plausible(selected, without_hold)
+    extension = plausible(without, without_hold)
     first = (extension, *extension.larger)[-1]
     return extension if extension is first or nats_gained(first, extension) > -full.settings.decisive else first
 
@@ -219,7 +211,6 @@ def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
 
 
 def as_the_card_states(flights: Flights, card: Card) -> Flights:
-    """Flights without the errors of the record that the card states."""
     if card.linear is not None:
         return flights
     model = Model.from_card(card)
@@ -245,7 +236,7 @@ def with_corrections(flights: Flights, model: Model, values: Mapping[str, Any]) 
 class Blocks:
     """Residuals and sensitivities of a fit, less each stretch's own mean: where it began is free."""
 
-    def __init__(self, state: SelectionState, fit: RegressionFit) -> None:
+    def __init__(self, state: SelectionState) -> None:
         seconds, number = state.responses.seconds, np.full(len(state.residual), -1)  # of its stretch; -1 between folds
         total = seconds * sum(fold.stop - fold.start for fold in state.folds)
         wanted, begin = min(state.settings.block, total / state.settings.fewest_blocks), 0
@@ -255,21 +246,15 @@ class Blocks:
             number[fold] = begin + np.arange(length) * parts // length
             begin += parts
         self.state, self.number = state, number
-        self._inside, self._own = number >= 0, number[number >= 0]
-        self.left = self._centred(state.left(fit))
+        self._inside, self._own, self.freedom = number >= 0, number[number >= 0], int(number.max())
+        self.left = self._centred(state.left())
         self.weight = 1.0 / np.maximum(np.mean(self.left**2, axis=0), 1e-300)
-
-    @property
-    def freedom(self) -> int:
-        return int(self._own.max())
 
     def _centred(self, x: np.ndarray) -> np.ndarray:
         """(m, ...) to the blocks inside stretches, (i, ...)."""
-        x = x[self._inside]
-        sums = np.zeros((self._own.max() + 1, *x.shape[1:]))
+        x, sums = x[self._inside], np.zeros((self.freedom + 1, *x.shape[1:]))
         np.add.at(sums, self._own, x)
-        count = np.bincount(self._own).reshape(-1, *[1] * (x.ndim - 1))
-        return x - (sums / count)[self._own]
+        return x - (sums / np.bincount(self._own).reshape(-1, *[1] * (x.ndim - 1)))[self._own]
 
     def judge(self, effect: str) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]] | None:
         """What stretches add to an effect's parameters, and its covariance by their scatter; None without effect."""
@@ -288,8 +273,7 @@ class Blocks:
 
     def p_value(self, effect: str) -> float:
         """The chance that stretches which disagree as they do show as much of the best candidate (Bonferroni)."""
-        judged = self.judge(effect)
-        if judged is None:
+        if (judged := self.judge(effect)) is None:
             return 1.0
         away = self.state.departure[self.state.full.own_columns(effect)]
         return largest_p_value(away + judged[0], judged[1], self.freedom, len(self.state.blocks))
@@ -300,35 +284,35 @@ class Blocks:
         return np.zeros(count) if judged is None else np.sqrt(np.diag(judged[1]))
 
 
-def consistent_across_blocks(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
+def consistent_across_blocks(state: SelectionState) -> SelectionState:
     """The state without additions that the stretches do not bear out, the least first."""
     while state.active:
-        judged = Blocks(state, fit)
+        judged = Blocks(state)
         chances = {effect: judged.p_value(effect) for effect in state.active}
         worst = max(chances, key=lambda effect: chances[effect])
         if chances[worst] <= state.settings.block_false_alarm_rate:
             break
-        state, fit = refitted(removed(state, worst))
-    return state, fit
+        state = refitted(removed(state, worst))
+    return state
 
 
-def widened(extension: Extension, state: SelectionState, fit: RegressionFit) -> Extension:
+def widened(extension: Extension, state: SelectionState) -> Extension:
     """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them."""
-    judged = Blocks(state, fit)
-    estimates = dict(extension.sizes) if state is extension.state else sizes(state, fit)
+    judged = Blocks(state)
+    estimates = sizes(state)
     for effect in state.active:
         names = state.full.parameters_of(effect)
         wide = zip(names, judged.deviations(effect, len(names)), strict=True)
         estimates |= {n: replace(estimates[n], sd=max(estimates[n].sd, float(x))) for n, x in wide if n in estimates}
-    last = screen(state, fit)  # the last election is held anew
+    last = screen(state)  # the last election is held anew
     scores = tuple(
         s if s.value is not None else replace(s, sd=tuple(np.maximum(s.sd, judged.deviations(s.effect, len(s.sd)))))
         for s in last.candidate_scores
     )
-    closing = SelectionStep(None, float("nan"), replace(last, candidate_scores=scores), float("nan"))
-    causes, minor = worth(state, fit, estimates)
+    closing = SelectionStep(None, float("nan"), replace(last, candidate_scores=scores))
+    causes, minor = worth(state, estimates)
     steps = (*extension.steps, closing)
-    return replace(extension, state=state, fit=fit, steps=steps, sizes=estimates, causes=causes, minor=minor)
+    return replace(extension, state=state, steps=steps, sizes=estimates, causes=causes, minor=minor)
 
 
 # --- What the flight path cannot decide about errors of sensors: those it asks for in vain, and those that others
@@ -341,7 +325,7 @@ def widened(extension: Extension, state: SelectionState, fit: RegressionFit) -> 
 def open_errors(extension: Extension) -> tuple[OpenError, ...]:
     """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first."""
     state, settings = extension.state, extension.state.settings
-    effects, columns, gram, right = _information_of_errors(state, extension.fit)
+    effects, columns, gram, right = _information_of_errors(state)
     # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
     covariance = inverse(gram + np.diag(state.precision[columns]))
     among = np.sqrt(state.variance_inflation * np.diag(covariance))
@@ -371,9 +355,7 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
     return tuple(sorted(undecided, key=lambda e: (not e.asked, rank.get(e.name, len(rank)))))
 
 
-def _information_of_errors(
-    state: SelectionState, fit: RegressionFit
-) -> tuple[list[Effect], Int[np.ndarray, " k"], Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+def _information_of_errors(state: SelectionState) -> tuple[list[Effect], np.ndarray, np.ndarray, np.ndarray]:
     """Errors of one parameter that move the flight path, their columns, information, and what is left for them."""
     effects = [
         e
@@ -382,16 +364,16 @@ def _information_of_errors(
     ]
     columns = state.full.columns([e.parameters[0].name for e in effects])
     X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
-    weight = 1.0 / fit.variance
+    weight = 1.0 / state.best.variance
     X = partialled(X, begin, weight)
-    right = np.einsum("mci,c,mc->i", X, weight, state.left(fit)[state.inside])
+    right = np.einsum("mci,c,mc->i", X, weight, state.left()[state.inside])
     return effects, columns, np.einsum("mci,c,mcj->ij", X, weight, X), right
 
 
-def with_several_instead(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
+def with_several_instead(state: SelectionState) -> SelectionState:
     """The state with an addition exchanged for several errors that together do the same and explain decisively more."""
     # Offset and scale of an airspeed come one by one, and neither gains what an offset of its pitot pressure does.
-    effects, _, gram, _ = _information_of_errors(state, fit)
+    effects, _, gram, _ = _information_of_errors(state)
     for place, effect in enumerate(effects):
         if effect.name not in state.active:
             continue
@@ -401,11 +383,14 @@ def with_several_instead(state: SelectionState, fit: RegressionFit) -> tuple[Sel
         for together, share in _nearest(gram, effects, place, state.settings, least):
             if len(together) < 2 or share < state.settings.imitated or set(together) & set(others):
                 continue
-            wider, wider_fit = refitted(moved(state, neutral, (*others, *together)))
+            wider = refitted(moved(state, neutral, (*others, *together)))
             choice = (len(together) - 1) * math.log(len(state.full.candidates))
-            if nats(fit.deviance - wider_fit.deviance, state.variance_inflation) - choice > state.settings.decisive:
-                return with_several_instead(wider, wider_fit)
-    return state, fit
+            if (
+                nats(state.best.deviance - wider.best.deviance, state.variance_inflation) - choice
+                > state.settings.decisive
+            ):
+                return with_several_instead(wider)
+    return state
 
 
 def _nearest(
@@ -446,64 +431,27 @@ RANK = 1e-8  # constant errors that make a column weaker than this, beside other
 TOGETHER = 8  # records that are measured at a time
 
 
-class Measure(IntEnum):
-    """Of root mean squares: over the record, the same without the best constant errors, within a window."""
-
-    DRIFT = 0
-    SHAPE = 1
-    WINDOW = 2
-
-
-Channels = Mapping[str, Float[np.ndarray, " n"]]
-
-
-@dataclass(frozen=True)
-class _Measures:
-    """Root mean squares, a row for each residual record (the recorded one first), and what each column is."""
-
-    values: Float[np.ndarray, "r k"]
-    channel: tuple[str, ...]
-    begin: tuple[float, ...]
-    end: tuple[float, ...]
-    kind: tuple[Measure, ...]
-
-
-def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> PathCheck:
-    """Compare the flight path of one record, in SI and without known errors of sensors, with what noise permits."""
-    path = _RecordedPath(time, channels, card, seed)
-    met, outputs, constant = path.gusts_shown(), path.outputs, path.constant
-    turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))
-    drawn = path.residuals(path.disturbances(turbulence, REPLICATES)) - path.recorded
-    whole = np.ones(len(time))  # a constant error of each sensor by itself, as large as is permitted
-    each = zip(constant.items(), np.eye(len(constant)), strict=True)
-    columns = path.residuals({n: np.outer(own, sd * whole) for (n, sd), own in each}) - path.recorded
-    measures = _measures(np.concatenate([path.recorded, drawn]), columns, outputs, time)
-    count, permitted = len(outputs), _permitted(measures)
-    shape = {n: (float(measures.values[0, count + i]), float(permitted[count + i])) for i, n in enumerate(outputs)}
-    assumed = tuple(n for n in STRAIGHT if n not in channels)
-    return PathCheck(name, _departures(name, measures), shape, turbulence, met, assumed)
-
-
-def gusts_met(time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> float:
-    """Standard deviation of the gusts that one record shows, m/s, as in `PathCheck`; arguments as of `path_check`."""
-    return _RecordedPath(time, channels, card, seed).gusts_shown()
+Series = Float[np.ndarray, " n"]
 
 
 class _RecordedPath:
     """The channels of one record, zeros for those that are absent, and what the flight path leaves of them."""
 
-    def __init__(self, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int) -> None:
-        self.full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
+    def __init__(
+        self, name: str, time: Series, channels: Mapping[str, Series], card: Card, at: tuple[float, ...], seed: int
+    ) -> None:
+        self.name, self.time, self.channels = name, time, {n: channels[n] for n in PATH_NEEDS if n in channels}
+        self.full = {n: np.zeros(len(time)) for n in PATH_NEEDS} | self.channels
         self.outputs, self.dt = path_outputs(channels), float(time[-1] - time[0]) / (len(time) - 1)
-        given = {n: self.full[n] for n in channels if n in self.full}
-        self.white, self.constant, self.shown = sensor_noise(given, card)
-        self.aircraft = replace(NO_AIRCRAFT, accelerometer=card.aircraft.accelerometer)
-        self.rng = np.random.default_rng([seed, 31])
+        self.white, self.constant, self.shown = sensor_noise(self.channels, card)
+        self.aircraft, self.rng = replace(NO_AIRCRAFT, accelerometer=at), np.random.default_rng([seed, 31])
         self.recorded = self.residuals({"q": np.zeros((1, len(time)))})
+        edges = np.linspace(0, len(time), max(1, round(len(time) * self.dt / WINDOW)) + 1).astype(int)
+        self.windows = [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
     def residuals(self, added: Mapping[str, Float[np.ndarray, "r n"]]) -> Float[np.ndarray, "r n c"]:
         """Recorded minus integrated from the start, for each of r disturbances that are `added` to some channels."""
-        n, count = len(self.full["q"]), len(next(iter(added.values())))
+        n, count = len(self.time), len(next(iter(added.values())))
         steps, start = np.full(n, self.dt), np.arange(n) == 0
         first, last = np.zeros(n, int), np.full(n, n - 1)
         residuals = np.empty((count, n, len(self.outputs)))
@@ -516,16 +464,25 @@ class _RecordedPath:
                 residuals[part, :, c] = s[name] - integral(rates[name], steps, start, first)
         return residuals
 
+    def local(self, x: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r w c"]:
+        """Root mean squares within windows, about a line in each."""
+        parts = []
+        for part in (x[:, window] for window in self.windows):
+            n = part.shape[1]
+            line = np.linalg.qr(np.stack([np.ones(n), np.arange(n)], axis=1))[0]
+            parts.append(np.sqrt(np.mean((part - line @ (line.T @ part)) ** 2, axis=1)))
+        return np.stack(parts, axis=1)
+
     def gusts_shown(self) -> float:
         """Standard deviation of gusts (m/s) that the calmest of the air-data channels shows within windows, for air is
         alike in all directions (MIL-F-8785C, 3.7.2.2): an error of one sensor is no gust."""
         V, levels = self.full["airspeed"], []
-        for name in (n for n in AIR_DATA if n in self.outputs):
+        for name in (name for name in AIR_DATA if name in self.outputs):
             along = name == "airspeed"
             unit = gusts(self.rng, 16, len(V), self.dt, float(np.median(V)), across=not along)
-            share = float(np.mean(np.median(_local(unit.T, self.dt) ** 2, axis=0)))
+            share = float(np.mean(np.median(self.local(unit[:, :, None])[..., 0] ** 2, axis=1)))
             scale = np.ones_like(V) if along else V
-            inside = _local((self.recorded[0, :, self.outputs.index(name)] * scale)[:, None], self.dt)[:, 0]
+            inside = self.local((self.recorded[:, :, self.outputs.index(name)] * scale)[:, :, None])[0, :, 0]
             white = self.shown[name] * float(np.median(scale))
             levels.append(float(np.median(np.maximum(inside**2 - white**2, 0.0))) / max(share, 1e-12))
         return float(np.sqrt(min(levels, default=0.0)))
@@ -544,92 +501,58 @@ class _RecordedPath:
         return added
 
 
-def _windows(n: int, dt: float) -> list[slice]:
-    parts = max(1, round(n * dt / WINDOW))
-    edges = np.linspace(0, n, parts + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+def path_check(path: _RecordedPath) -> PathCheck:
+    """Compare the flight path of one record, in SI and without known errors of sensors, with what noise permits."""
+    met, constant = path.gusts_shown(), path.constant
+    turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))
+    drawn = path.residuals(path.disturbances(turbulence, REPLICATES)) - path.recorded
+    each = zip(constant.items(), np.eye(len(constant)), strict=True)
+    # A constant error of each sensor by itself, as large as is permitted.
+    added = {n: np.outer(own, sd * np.ones(len(path.time))) for (n, sd), own in each}
+    measured = _measures(path, drawn, path.residuals(added) - path.recorded)
+    recorded, usual = measured[0], np.sqrt(np.mean(measured[1:] ** 2, axis=0))
+    # As many times a measure's usual size as the largest of its kind in any record of noise.
+    largest = np.max(measured[1:] / usual, axis=(0, 2))
+    permitted = usual * np.concatenate([largest[:2], np.full(len(largest) - 2, largest[2:].max())])[:, None]
+    shape = {n: (float(recorded[1, c]), float(permitted[1, c])) for c, n in enumerate(path.outputs)}
+    assumed, departures = tuple(n for n in STRAIGHT if n not in path.channels), []
+    begins, ends = (np.array([path.time[window][k] for window in path.windows]) for k in (0, -1))
+    begins, ends = (np.concatenate([[x, x], parts]) for x, parts in ((path.time[0], begins), (path.time[-1], ends)))
+    for c, name in enumerate(path.outputs):  # windows that touch make one departure, many the whole record
+        ratio = recorded[:, c] / permitted[:, c]
+        over = recorded[:, c] > permitted[:, c]
+        chosen = [list(run) for exceeds, run in groupby(range(2, len(ratio)), over.__getitem__) if exceeds]
+        if not chosen or over[2:].sum() > SPREAD * len(path.windows):
+            chosen = [[int(np.argmax(ratio[:2]))]] if over[:2].any() else chosen
+        for run in chosen:
+            worst = max(run, key=lambda i: ratio[i])
+            sizes = float(recorded[worst, c]), float(permitted[worst, c])
+            departures.append(Departure(path.name, name, float(begins[run[0]]), float(ends[run[-1]]), *sizes))
+    return PathCheck(path.name, tuple(departures), shape, turbulence, met, assumed)
 
 
-def _local(x: Float[np.ndarray, "n c"], dt: float) -> Float[np.ndarray, "w c"]:
-    return np.stack([_rms_about_line(x[part][None])[0] for part in _windows(len(x), dt)])
-
-
-def _rms_about_line(x: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r c"]:
-    line = np.linalg.qr(np.stack([np.ones(x.shape[1]), np.arange(x.shape[1])], axis=1))[0]
-    left = x - line @ (line.T @ x)
-    return np.sqrt(np.mean(left**2, axis=1))
-
-
-def _measures(
-    residual: Float[np.ndarray, "r n c"],
-    columns: Float[np.ndarray, "m n c"],
-    outputs: Sequence[str],
-    time: Float[np.ndarray, " n"],
-) -> _Measures:
-    windows = _windows(len(time), float(time[-1] - time[0]) / (len(time) - 1))
-    constants = _Constants(residual[1:], columns, time)
-    values = []
+def _measures(path: _RecordedPath, noise: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Root mean squares of the record and of each of noise: whole, without the best constant errors, by window."""
+    # The constant errors that suit all outputs of a record best, of any size, and a steady vertical wind.
+    step, wind = max(1, len(path.time) // THINNED), np.zeros_like(columns[:1])
+    scale = np.sqrt(np.mean([np.var(x[::step], axis=0) for x in noise], axis=0))
+    wind[0, :, -1] = path.time
+    B = np.concatenate([columns, wind])[:, ::step]
+    B = (B - B.mean(axis=1, keepdims=True)) / scale
+    size = np.sqrt(np.mean(B**2, axis=(1, 2)))
+    unit = (B / np.maximum(size, 1e-300)[:, None, None])[size > 0.0].reshape(int(np.sum(size > 0.0)), -1).T
+    directions, strengths, _ = np.linalg.svd(unit, full_matrices=False)
+    basis = directions[:, strengths > RANK * strengths.max(initial=0.0)]
+    residual, measures = np.concatenate([path.recorded, noise]), []
     for first in range(0, len(residual), TOGETHER):  # a few records stay in the processor's cache
         some = residual[first : first + TOGETHER]
-        centred, parts = some - some.mean(axis=1, keepdims=True), [_rms_about_line(some[:, part]) for part in windows]
-        whole = np.sqrt(np.mean(centred**2, axis=1))
-        values.append(np.concatenate([whole, constants.rms_without(centred), *parts], axis=1))
-    begin, end, kinds = [time[0]] * 2, [time[-1]] * 2, [Measure.DRIFT, Measure.SHAPE]
-    for part in windows:
-        begin, end, kinds = [*begin, time[part][0]], [*end, time[part][-1]], [*kinds, Measure.WINDOW]
-    count = len(outputs)
-    begins, ends = (tuple(float(t) for t in np.repeat(times, count)) for times in (begin, end))
-    repeated = tuple(kind for kind in kinds for _ in range(count))
-    return _Measures(np.concatenate(values), tuple(outputs) * len(kinds), begins, ends, repeated)
-
-
-class _Constants:
-    """The constant errors that suit all outputs of a record best, of any size, and a steady vertical wind."""
-
-    def __init__(
-        self, noise: Float[np.ndarray, "r n c"], columns: Float[np.ndarray, "m n c"], time: Float[np.ndarray, " n"]
-    ) -> None:
-        self.step = max(1, len(time) // THINNED)
-        self.scale = np.sqrt(np.mean([np.var(x[:: self.step], axis=0) for x in noise], axis=0))
-        wind = np.zeros_like(columns[:1])
-        wind[0, :, -1] = time
-        B = np.concatenate([columns, wind])[:, :: self.step]
-        B = (B - B.mean(axis=1, keepdims=True)) / self.scale
-        size = np.sqrt(np.mean(B**2, axis=(1, 2)))
-        unit = (B / np.maximum(size, 1e-300)[:, None, None])[size > 0.0].reshape(int(np.sum(size > 0.0)), -1).T
-        directions, strengths, _ = np.linalg.svd(unit, full_matrices=False)
-        self.basis = directions[:, strengths > RANK * strengths.max(initial=0.0)]
-
-    def rms_without(self, centred: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r c"]:
-        x = centred[:, :: self.step] / self.scale
-        rows = x.reshape(len(x), -1)
-        left = rows - (rows @ self.basis) @ self.basis.T
-        return np.sqrt(np.mean(left.reshape(x.shape) ** 2, axis=1)) * self.scale
-
-
-def _permitted(measures: _Measures) -> Float[np.ndarray, " k"]:
-    """What noise permits: as many times a measure's usual size as the largest of its kind in any record of noise."""
-    usual = np.sqrt(np.mean(measures.values[1:] ** 2, axis=0))
-    largest, kind = measures.values[1:] / usual, np.array(measures.kind)
-    return usual * np.array([np.max(largest[:, kind == k]) for k in kind])
-
-
-def _departures(record: str, measures: _Measures) -> tuple[Departure, ...]:
-    """Where the recorded measures exceed what is permitted: windows that touch make one, many the whole record."""
-    permitted, recorded = _permitted(measures), measures.values[0]
-    over = recorded > permitted
-    departures = []
-    for name in dict.fromkeys(measures.channel):
-        at = [i for i, channel in enumerate(measures.channel) if channel == name]
-        entire, parts = ([i for i in at if (measures.kind[i] is Measure.WINDOW) == w] for w in (False, True))
-        chosen = [list(run) for exceeds, run in groupby(parts, lambda i: bool(over[i])) if exceeds]
-        if not chosen or sum(over[parts]) > SPREAD * len(parts):
-            chosen = [[max(entire, key=lambda i: recorded[i] / permitted[i])]] if any(over[entire]) else chosen
-        for run in chosen:
-            worst = max(run, key=lambda i: recorded[i] / permitted[i])
-            size, limit = float(recorded[worst]), float(permitted[worst])
-            departures.append(Departure(record, name, measures.begin[run[0]], measures.end[run[-1]], size, limit))
-    return tuple(departures)
+        centred = some - some.mean(axis=1, keepdims=True)
+        thin = centred[:, ::step] / scale
+        rows = thin.reshape(len(thin), -1)
+        left = (rows - (rows @ basis) @ basis.T).reshape(thin.shape)
+        whole = [np.sqrt(np.mean(centred**2, axis=1)), np.sqrt(np.mean(left**2, axis=1)) * scale]
+        measures.append(np.concatenate([np.stack(whole, axis=1), path.local(some)], axis=1))
+    return np.concatenate(measures)
 
 
 # --- What the flight path may leave if every sensor is as good as the card says: noise, constant errors, light
@@ -653,18 +576,15 @@ MARGIN = 2.0  # times the calmest air-data channel's own gusts: turbulence comes
 AIR_DATA = ("airspeed", "alpha", "beta")
 
 
-def sensor_noise(channels: Channels, card: Card) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Standard deviations in SI by channel: white noise that is permitted in one record (as stated, or as the record
-    shows it up to `NOISIER` times that), a constant error as large as the stated noise, and the white noise shown."""
+def sensor_noise(channels: Mapping[str, Series], card: Card) -> tuple[dict[str, float], ...]:
+    """Standard deviations by channel, SI: permitted white noise, a constant error, and the white noise shown."""
     stated = {name: float(card.sensors.get(name) or DEFAULT_NOISE[name]) for name in DEFAULT_NOISE if name in channels}
     shown = {name: noise_of(np.asarray(channels[name])) for name in stated}
     permitted = {n: float(np.clip(shown[n], sd, NOISIER * sd)) for n, sd in stated.items()}
     return permitted, stated, shown
 
 
-def gusts(
-    rng: np.random.Generator, count: int, n: int, dt: float, airspeed: float, *, across: bool
-) -> Float[np.ndarray, "r n"]:
+def gusts(rng: np.random.Generator, count: int, n: int, dt: float, airspeed: float, *, across: bool) -> np.ndarray:
     """Dryden turbulence of unit standard deviation along or across the path, met at a speed in m/s.
 
     Source: MIL-F-8785C, 3.7.2, T = L/V: along, 1/(1 + T s); across, (1 + sqrt(3) T s)/(1 + T s)^2.

@@ -11,16 +11,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import ENOUGH, CandidateModel, manoeuvres
 from bayes_aero.diagnosis.result import TestPoint
 from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of
-from bayes_aero.diagnosis.selection_state import SelectionState, inverse, linearised
+from bayes_aero.diagnosis.selection_state import ENOUGH, SelectionState, inverse, linearised, manoeuvres
 from bayes_aero.dynamics.pilot import ANYWHERE, EXCITED_CHANNELS, fly_standard
 from bayes_aero.dynamics.trim import Condition
 from bayes_aero.effect import Effect, Stage
@@ -29,11 +28,11 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Axis, Envelope, altitude_of_density, excursion
-from bayes_aero.residuals.base import ResidualModel, flight_path
+from bayes_aero.residuals.base import flight_path
 from bayes_aero.residuals.equation_error import EquationError
 
 AMPLITUDES, FASTER = (0.5, 1.0, 1.5), (1.0, 1.15)  # of the standard inputs, and of the records' first airspeed
-MOST, LITTLE = 4, 0.5  # test points, and nats from which another is worth flying
+MOST, LEAST_NATS = 4, 0.5  # test points, and nats from which another is worth flying
 NOT_BY_HAND = ("multisine",)  # manoeuvres that need a computer at the controls
 
 
@@ -46,10 +45,6 @@ class Ambiguity:
     foreign: tuple[str, ...] = ()  # columns of effects that other questions ask for and that the model does not have
     enough: float = ENOUGH
 
-    @property
-    def label(self) -> str:
-        return " or ".join(self.effects)
-
     def pairs(self, information: Information) -> list[float]:
         """Deviations of each pair, the lesser of both directions."""
         deviations = information.without(self.foreign).deviations(self.signals)
@@ -58,8 +53,8 @@ class Ambiguity:
     def deviations(self, information: Information) -> float:
         return min(self.pairs(information))
 
-    def information(self, information: Information) -> float:
-        """Nats, the mean of all pairs, each until it is decided."""
+    def nats(self, information: Information) -> float:
+        """The mean of all pairs, each until it is decided."""
         return float(np.mean([0.5 * min(d, self.enough) ** 2 for d in self.pairs(information)]))
 
 
@@ -74,22 +69,13 @@ class TestPoints:
     points: tuple[TestPoint, ...]
     refused: Mapping[str, str]  # manoeuvres that never stay inside the envelope, or whose input was not recorded
 
-    @property
-    def expected(self) -> tuple[float, ...]:
-        return self.points[-1].expected if self.points else self.present
 
-
-@dataclass(frozen=True)
-class Variant:
+class Variant(NamedTuple):
     """One manoeuvre as it could be flown, and what it says; that of several adds up."""
 
     manoeuvre: str
     flown: Standard
     information: Any
-
-    @property
-    def seconds(self) -> float:
-        return self.flown.seconds[self.manoeuvre]
 
 
 def next_test_points(
@@ -100,16 +86,15 @@ def next_test_points(
 ) -> TestPoints:
     """Choose them for ambiguity sets, at the sizes at which the effects of each are told apart, inside an envelope."""
     names = sorted(frozenset().union(*sets))
-    chosen = candidates_of(state, names)
+    effects, noise = {e.name: e for e in state.full.model.effects}, noise_of(state)
+    chosen = [effects[name] for name in names]
     variants = variants_of(state if theta is None else replace(state, theta=theta), names, envelope)
-    noise = noise_of(state)
-    records = of_records(state, chosen, noise)
-    questions, present = [], records.information()
+    records, questions = on_record(state, chosen, noise), []
+    present = information_of(records, noise)
     for members, sizes in sets.items():
-        members_of = [e for e in chosen if e.name in members]
+        inside = [e for e in chosen if e.name in members]
         foreign = tuple(p.name for e in chosen if e.name not in {*members, *state.active} for p in e.parameters)
-        signals = signals_of(records.state, members_of, worth_of(members_of, sizes))
-        question = Ambiguity(tuple(e.name for e in members_of), signals, foreign)
+        question = Ambiguity(tuple(e.name for e in inside), signals_of(records, inside, sizes), foreign)
         # The diagnosis has not told them apart by what the records say: as much as decides must come beside that.
         questions.append(replace(question, enough=float(np.hypot(ENOUGH, question.deviations(present)))))
 
@@ -119,49 +104,27 @@ def next_test_points(
     points = best_points(
         possible_points(state, variants, chosen, noise, envelope),
         present,
-        nats=lambda information: sum(q.information(information) for q in questions),
+        nats=lambda information: sum(q.nats(information) for q in questions),
         expected=expected,
         decided=lambda information: all(q.deviations(information) >= q.enough for q in questions),
     )
     return TestPoints(tuple(questions), expected(present), points, refused_points(variants, envelope))
 
 
-def candidates_of(state: SelectionState, effects: Sequence[str]) -> list[Effect]:
-    """The effects of an ambiguity set; `InputError` if it is none."""
-    testable = {e.name: e for e in state.full.model.effects if e.parameters}
-    for name in (name for name in effects if name not in testable):
-        raise InputError(f"effect {name} is none that this record can test; choose among the candidates of the state")
-    chosen = [testable[name] for name in dict.fromkeys(effects)]
-    if len(chosen) < 2:
-        raise InputError("an ambiguity set has at least two effects")
-    return chosen
-
-
-def worth_of(chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, float]:
-    """The size of each parameter at which effects are told apart: the least worth modelling, or that in `sizes`."""
-    return {p: least for e in chosen for p, (least, _) in e.sizes.items()} | dict(sizes)
-
-
 def variants_of(state: SelectionState, effects: Sequence[str], envelope: Envelope) -> list[Standard]:
-    """The standard manoeuvres with every amplitude and airspeed, inside the envelope."""
     pairs = [{"amplitude": amplitude, "faster": faster} for faster in FASTER for amplitude in AMPLITUDES]
     return [standard(state, effects, **pair, envelope=envelope) for pair in pairs]
 
 
 def possible_points(
-    state: SelectionState,
-    variants: Sequence[Standard],
-    chosen: Sequence[Effect],
-    noise: ResidualNoise,
-    envelope: Envelope,
+    state: SelectionState, variants: list[Standard], chosen: Sequence[Effect], noise: ResidualNoise, envelope: Envelope
 ) -> list[Variant]:
     """Every manoeuvre that may be proposed, and its information on the model and the `chosen` candidates."""
-    pairs = [(variant, name, flight) for variant in variants for name, flight in variant.flown.items()]
     possible = []
-    for variant, name, flight in pairs:
+    for flown, name in [(variant, name) for variant in variants for name in variant.flown]:
         if envelope.programmed_inputs or name not in NOT_BY_HAND:
-            record = on_record(state, variant.model, flight, variant.theta, chosen, noise)
-            possible.append(Variant(name, variant, record.information(variant.seconds[name])))
+            there = on_record(state, chosen, noise, flown, name)
+            possible.append(Variant(name, flown, information_of(there, noise, flown.seconds[name])))
     return possible
 
 
@@ -185,16 +148,15 @@ def best_points(
     points: list[TestPoint] = []
     while len(points) < MOST and not decided(information):
         present = nats(information)
-        gains = [nats(information + chosen.information) - present for chosen in possible]
-        worth = [k for k, gain in enumerate(gains) if gain >= LITTLE]
+        gains = [nats(information + variant.information) - present for variant in possible]
+        worth = [k for k, gain in enumerate(gains) if gain >= LEAST_NATS]
         if not worth:
             break
-        best = max(worth, key=lambda k: gains[k] / possible[k].seconds)
-        chosen, information = possible[best], information + possible[best].information
-        flown = chosen.flown
-        begin, reached = (flown.amplitude, flown.airspeed, flown.altitude), flown.excursion[chosen.manoeuvre]
-        rate = gains[best] / chosen.seconds
-        points.append(TestPoint(chosen.manoeuvre, *begin, chosen.seconds, reached, expected(information), rate))
+        best = max(worth, key=lambda k: gains[k] / possible[k].flown.seconds[possible[k].manoeuvre])
+        name, flown, more = possible[best]
+        information, seconds = information + more, flown.seconds[name]
+        begin, rate = (flown.amplitude, flown.airspeed, flown.altitude), gains[best] / seconds
+        points.append(TestPoint(name, *begin, seconds, flown.excursion[name], expected(information), rate))
     return tuple(points)
 
 
@@ -204,13 +166,11 @@ def best_points(
 # Morelli, *Aircraft System Identification*, 2006, ch. 9 (design of inputs from the information matrix); for coloured
 # noise ch. 6, as in `inference.covariance`.
 
-Pair = tuple[str, str]
 Signals = Mapping[str, Mapping[str, float]]
 """For each effect of a set: the size of each of its columns, by label."""
 
 
-@dataclass(frozen=True)
-class ResidualNoise:
+class ResidualNoise(NamedTuple):
     """Residuals of the present model: variance and colour by output, growth of each with 1 - X."""
 
     outputs: tuple[str, ...]
@@ -226,19 +186,18 @@ class ResidualNoise:
 
 def noise_of(state: SelectionState) -> ResidualNoise:
     """Residuals of the coefficients and, where it was recorded, of the flight path at the present parameters."""
-    responses, manoeuvre = state.responses, state.responses.manoeuvre
+    responses, parts = state.responses, manoeuvres(state.responses.manoeuvre)
     residual, apart = responses.residuals(state.theta, responses.outputs).copy(), responses.separated(state.theta)
     growth = np.zeros(residual.shape[1])
-    for c, name in enumerate(state.responses.outputs):
+    for c, name in enumerate(responses.outputs):
         if name in state.outputs and np.any(apart > 0.0):
-            growth_there = state.noise_growth[:, state.outputs.index(name)]
-            growth[c] = max(0.0, float((growth_there - 1.0) @ apart / (apart @ apart)))
+            there = state.noise_growth[:, state.outputs.index(name)]
+            growth[c] = max(0.0, float((there - 1.0) @ apart / (apart @ apart)))
         if name not in state.full.model.coefficients:
-            for part in manoeuvres(manoeuvre):
+            for part in parts:
                 residual[part, c] -= residual[part, c].mean()
     residual /= 1.0 + growth * apart[:, None]
-    colour = autocorrelation_of(residual, manoeuvres(manoeuvre))
-    return ResidualNoise(state.responses.outputs, np.mean(residual**2, axis=0), colour, growth)
+    return ResidualNoise(responses.outputs, np.mean(residual**2, axis=0), autocorrelation_of(residual, parts), growth)
 
 
 @dataclass(frozen=True)
@@ -264,37 +223,30 @@ class Information:
 
     def without(self, labels: Sequence[str]) -> Information:
         at = [k for k, label in enumerate(self.labels) if label not in labels]
-        rows = np.ix_(at, at)
-        kept = tuple(self.labels[k] for k in at)
-        return Information(kept, self.matrix[rows], self.score_variance[rows], self.prior[at])
+        matrix, score = (x[np.ix_(at, at)] for x in (self.matrix, self.score_variance))
+        return Information(tuple(self.labels[k] for k in at), matrix, score, self.prior[at])
 
-    def after(self, columns: Sequence[int], signal: Float[np.ndarray, " k"]) -> tuple[float, float]:
-        """What `columns`, held by their priors, cannot imitate of a signal: information, and the score's variance."""
-        at = np.asarray(columns, int)
-        normal = self.matrix[np.ix_(at, at)] + np.diag(self.prior[at])
-        left = signal.copy()
-        left[at] -= inverse(normal) @ (self.matrix[at] @ signal)
-        return float(signal @ self.matrix @ left), float(left @ self.score_variance @ left)
-
-    def deviations(self, signals: Signals) -> dict[Pair, float]:
+    def deviations(self, signals: Signals) -> dict[tuple[str, str], float]:
         """By how many standard deviations the first of each pair differs from its best imitation by the other."""
         place = {label: k for k, label in enumerate(self.labels)}
         members = {place[label] for own in signals.values() for label in own}
-        base = [k for k in range(len(self.labels)) if k not in members]
         apart = {}
         for one, other in permutations(signals, 2):
-            columns = base + [place[label] for label in signals[other]]
+            at = [*(k for k in place.values() if k not in members), *(place[label] for label in signals[other])]
+            imitated = inverse(self.matrix[np.ix_(at, at)] + np.diag(self.prior[at])) @ self.matrix[at]
             ratios = []
             for label, size in signals[one].items():
-                signal = np.zeros(len(self.labels))
+                signal = np.zeros(len(place))
                 signal[place[label]] = size
-                information, spread = self.after(columns, signal)
-                ratios.append(information / np.sqrt(spread) if spread > 0.0 else 0.0)
+                left = signal.copy()
+                left[at] -= imitated @ signal
+                spread = float(left @ self.score_variance @ left)
+                ratios.append(float(signal @ self.matrix @ left) / np.sqrt(spread) if spread > 0.0 else 0.0)
             apart[one, other] = min(ratios)
         return apart
 
 
-def columns_of(state: SelectionState, effect: Effect) -> dict[str, int]:
+def columns_by_label(state: SelectionState, effect: Effect) -> dict[str, int]:
     """Columns of an effect by label; of one without slope at neutral, that of its least scanned value."""
     begin = len(state.theta) + state.nuisance
     scans = [(abs(s.value), begin + k, s) for k, s in enumerate(state.scans) if s.effect == effect.name]
@@ -305,8 +257,8 @@ def columns_of(state: SelectionState, effect: Effect) -> dict[str, int]:
     return dict(zip(names, map(int, state.full.columns(names)), strict=True))
 
 
-def signals_of(state: SelectionState, chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, dict]:
-    """The size of each column of `chosen`: that of its parameter in `sizes`, or the least scanned value's distance."""
+def signals_of(state: SelectionState, chosen: Sequence[Effect], sizes: Mapping[str, float]) -> Signals:
+    """The size of each column of `chosen`: of its parameter in `sizes`, the least worth modelling, or a scanned one."""
     signals = {}
     for effect in chosen:
         scans = [s for s in state.scans if s.effect == effect.name]
@@ -315,7 +267,8 @@ def signals_of(state: SelectionState, chosen: Sequence[Effect], sizes: Mapping[s
             present = state.theta[state.full.columns([least.parameter])[0]]
             signals[effect.name] = {least.parameter: float(least.value - present)}
         else:
-            signals[effect.name] = {label: sizes[label] for label in columns_of(state, effect)}
+            own = {p: least for p, (least, _) in effect.sizes.items()} | dict(sizes)
+            signals[effect.name] = {label: own[label] for label in columns_by_label(state, effect)}
     return signals
 
 
@@ -381,14 +334,6 @@ def standard(
     return Standard(small, theta, flown, seconds, excursions, refused, **start, amplitude=amplitude)
 
 
-def flights_of(state: SelectionState) -> Flights:
-    """The records of a diagnosis by coefficients. Raises `InputError` for any other."""
-    flights = state.responses.flights
-    if state.responses.kinematic:
-        raise InputError("the records were not compared by coefficients, so manoeuvres cannot be judged by them")
-    return flights
-
-
 def narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
     """The card's effects, those that are in, those chosen, and those without parameters: less to compile."""
     kept = {*state.full.base, *state.active, *chosen}
@@ -399,63 +344,38 @@ def narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
     return replace(state.full.model, effects=effects, parameters=parameters, fixed=fixed)
 
 
-@dataclass(frozen=True)
-class LinearisedRecord:
-    """A model linearised on a record, all outputs together, and the noise of these."""
-
-    state: SelectionState
-    noise: ResidualNoise
-    chosen: tuple[Effect, ...]
-
-    def information(self, seconds: float | None = None) -> Information:
-        """Of the record, or of its first `seconds`: on the parameters in the state, and on the `chosen` effects."""
-        state, noise = self.state, self.noise
-        blocks = None if seconds is None else round(seconds / state.responses.seconds)
-        own = {label: column for e in self.chosen for label, column in columns_of(state, e).items()}
-        base = list(map(int, state.columns([n for n in state.active if n not in {e.name for e in self.chosen}])))
-        parameters = {state.full.model.names[k]: k for k in base if k < len(state.theta)}
-        labels = tuple(dict.fromkeys((*sorted(parameters), *own)))
-        columns = [(parameters | own)[label] for label in labels]
-        alone = [k for k in base if k >= len(state.theta)]
-        whole, weight = state.scaled[:blocks], 1.0 / noise.variance
-        S = own_columns = whole[:, :, columns]
-        if alone:
-            N = whole[:, :, alone]
-            normal = np.einsum("mci,c,mcj->ij", N, weight, N, optimize=True) + np.diag(state.precision[alone])
-            S = S - N @ (inverse(normal) @ np.einsum("mci,c,mcj->ij", N, weight, S, optimize=True))
-        matrix = np.einsum("mci,c,mcj->ij", S, weight, own_columns, optimize=True)
-        score = noise.colour.meat(S, noise.variance, manoeuvres(state.responses.manoeuvre[:blocks]))
-        return Information(labels, 0.5 * (matrix + matrix.T), score, state.precision[columns])
-
-
-def of_records(state: SelectionState, chosen: Sequence[Effect], noise: ResidualNoise) -> LinearisedRecord:
-    """The present records, linearised at the parameters of the state, with the `chosen` effects as candidates."""
-    flights_of(state)
-    full = replace(state.full, candidates=tuple(chosen))
-    return _linearised(state, full, state.responses, state.theta, noise)
-
-
 def on_record(
-    state: SelectionState,
-    model: Model,
-    flights: Flights,
-    theta: Mapping[str, float],
-    chosen: Sequence[Effect],
-    noise: ResidualNoise,
-) -> LinearisedRecord:
-    """The problem linearised on a record at `theta`, in which the `chosen` effects are candidates."""
-    path = tuple(name for name in noise.outputs if name not in model.coefficients)
-    responses = replace(EquationError.of(flights, model), path=path)  # the same outputs everywhere: compiled once
-    seen = noise.of((*model.coefficients, *flight_path(flights)))  # with wings level: nothing of sideslip and bank
-    full = replace(state.full, model=model, candidates=tuple(chosen))
-    return _linearised(state, full, responses, np.array([theta[name] for name in model.names]), seen)
+    state: SelectionState, chosen: Sequence[Effect], noise: ResidualNoise, flown: Standard | None = None, name: str = ""
+) -> SelectionState:
+    """The problem of `state` on its records, or on one manoeuvre of `flown`, with `chosen` effects as candidates."""
+    full, responses, theta, outputs = state.full, state.responses, state.theta, noise.outputs
+    if flown is not None:
+        model, flights = flown.model, flown.flown[name]
+        path = tuple(n for n in noise.outputs if n not in model.coefficients)
+        responses = replace(EquationError.of(flights, model), path=path)  # the same outputs everywhere: compiled once
+        full, theta = replace(full, model=model), np.array([flown.theta[n] for n in model.names])
+        # With wings level nothing of sideslip and bank.
+        outputs = noise.of((*model.coefficients, *flight_path(flights))).outputs
+    active = tuple(e for e in state.active if e not in {c.name for c in chosen})
+    there = linearised(replace(full, candidates=tuple(chosen)), responses, outputs, theta, active, like=state)
+    return replace(there, noise_growth=1.0 + noise.of(outputs).growth * responses.separated(theta)[:, None])
 
 
-def _linearised(
-    state: SelectionState, full: CandidateModel, responses: ResidualModel, theta: np.ndarray, noise: ResidualNoise
-) -> LinearisedRecord:
-    """Model, candidates and record at `theta`, with the additions and the inflation of `state`."""
-    active = tuple(e for e in state.active if e not in {c.name for c in full.candidates})
-    there = linearised(full, responses, noise.outputs, theta, active, like=state)
-    growth = 1.0 + noise.growth * responses.separated(theta)[:, None]
-    return LinearisedRecord(replace(there, noise_growth=growth), noise, full.candidates)
+def information_of(state: SelectionState, noise: ResidualNoise, seconds: float | None = None) -> Information:
+    """Of a record, or its first `seconds`, all outputs together: on the parameters in, and on every candidate."""
+    noise, chosen = noise.of(state.outputs), state.full.candidates
+    blocks = None if seconds is None else round(seconds / state.responses.seconds)
+    own = {label: column for e in chosen for label, column in columns_by_label(state, e).items()}
+    base = list(map(int, state.columns([n for n in state.active if n not in {e.name for e in chosen}])))
+    parameters = {state.full.model.names[k]: k for k in base if k < len(state.theta)}
+    labels = tuple(dict.fromkeys((*sorted(parameters), *own)))
+    columns, alone = [(parameters | own)[label] for label in labels], [k for k in base if k >= len(state.theta)]
+    whole, weight = state.scaled[:blocks], 1.0 / noise.variance
+    S = plain = whole[:, :, columns]
+    if alone:
+        N = whole[:, :, alone]
+        normal = np.einsum("mci,c,mcj->ij", N, weight, N, optimize=True) + np.diag(state.precision[alone])
+        S = S - N @ (inverse(normal) @ np.einsum("mci,c,mcj->ij", N, weight, S, optimize=True))
+    matrix = np.einsum("mci,c,mcj->ij", S, weight, plain, optimize=True)
+    score = noise.colour.meat(S, noise.variance, manoeuvres(state.responses.manoeuvre[:blocks]))
+    return Information(labels, 0.5 * (matrix + matrix.T), score, state.precision[columns])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
 from typing import Any
 
@@ -15,11 +15,12 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.reading import RecordReport
 from bayes_aero.inference.results import COLOURED_INNOVATIONS, FrequencyFit, FrequencyResponse, OneStep, Scores, Stall
-from bayes_aero.parameter import Parameter
+from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.aircraft import Aircraft
 
 # With what a model is compared: kinematics alone, which knows sensors and winds, or the model itself.
 FLIGHT_PATH, COEFFICIENTS, TRAJECTORIES, INNOVATIONS = "flight path", "coefficients", "trajectories", "innovations"
+Value = tuple[float, float]  # with its standard error, or two of a kind
 LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
 LITTLE = 0.02  # own share of an effect below which the record hardly excites it; our choice
 
@@ -31,9 +32,7 @@ class Verdict(StrEnum):
     EXPLAINED = "explained"
     PARTLY_EXPLAINED = "partly_explained"
     UNEXPLAINED = "unexplained"
-    # Trajectories alone cannot tell disturbed air from a model error without a name; or a parameter of a control at
-    # rest may have taken up an effect.
-    UNDECIDED = "undecided"
+    UNDECIDED = "undecided"  # air may be disturbed, or a parameter of a control at rest have taken up an effect
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,7 @@ class Gain:
     split: str
     before: Mapping[str, Scores]  # of each coefficient: card's model
     after: Mapping[str, Scores]  # with all so far
-    # Outputs that are predicted worse with it, beyond noise (see `DiagnosisSettings.degrades`), with that gain.
-    degraded: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    degraded: Mapping[str, Value] = field(default_factory=dict)  # gain of outputs predicted worse, beyond noise
 
 
 @dataclass(frozen=True)
@@ -66,13 +64,11 @@ class Cause:
     # Without it the hold-out log density falls by `missed`, with its standard error, and no output is predicted worse
     # with it. A cause that is not confirmed stays out of the model that is simulated and compared.
     confirmed: bool = True
-    missed: tuple[float, float] = (float("nan"), float("nan"))
+    missed: Value = (float("nan"), float("nan"))
     implausible: Mapping[str, float] = field(default_factory=dict)  # parameters beyond the largest size, with that
     own_share: float = float("nan")  # of what it does, what no other free parameter can do as well
-    # Hold-out log density that a rival in its place has beyond it, where that was compared.
-    rival_gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    # Causes whose estimates are correlated with its own, and that correlation: neither size holds without the other.
-    joint: Mapping[str, float] = field(default_factory=dict)
+    rival_gains: Mapping[str, Value] = field(default_factory=dict)  # hold-out log density of rivals in its place
+    joint: Mapping[str, float] = field(default_factory=dict)  # correlated causes: neither size holds without the other
 
     @property
     def bounded(self) -> tuple[str, ...]:
@@ -99,9 +95,8 @@ class UnexplainedStructure:
     share: float  # of the remaining variance of that coefficient
     p_value: float
     rivals: tuple[str, ...] = ()  # effects that explain it about equally well, more than the record can choose among
-    # Where the coefficient's constant differs between manoeuvres: by how much in each from that in the first, with
-    # standard errors; an effect that differs only between manoeuvres cannot be told from it.
-    offsets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # By how much the coefficient's constant differs in a manoeuvre from that in the first.
+    offsets: Mapping[str, Value] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -112,11 +107,11 @@ class ParameterChange:
     unit: str
     manoeuvre: str  # in which it changes
     at: float  # when, s from that manoeuvre's begin; 0: between the one before and this one
-    interval: tuple[float, float]  # of times that the record does not tell from it at 95 %
+    interval: Value  # of times that the record does not tell from it at 95 %
     lasts: bool  # whether the later manoeuvres have the value after; else they have the value before
-    before: tuple[float, float]  # value and standard error
-    after: tuple[float, float]
-    size: tuple[float, float]  # their difference
+    before: Value  # value and standard error
+    after: Value
+    size: Value  # their difference
     share: float  # of a coefficient's remaining variance that it explains
     p_value: float
     gain: float  # log density of parts of the manoeuvres predicted from the others, over the variance inflation
@@ -136,9 +131,7 @@ class OutputMiss:
 
     noise: float
     fitted: float  # initial states and parameters fitted to all flights
-    # From the measured initial state by the fit to the others, so that the noise of that state is in it and it is no
-    # measure of the model alone.
-    unseen: float
+    unseen: float  # by the fit to the others from the measured initial state, whose noise is in it
 
     @property
     def beyond(self) -> bool:
@@ -173,7 +166,6 @@ class Diagnosis:
     not_testable: Mapping[str, str]
     sensors: Any  # `selection.Extension` of each stage, the flight path's None where it has none
     aerodynamics: Any
-    theta: Float[np.ndarray, " k"]
     split: str
     base_moves: Mapping[str, tuple[float, float, float]]  # base parameter: before, after, deviation after
     kept: tuple[str, ...] = ()  # additions to the coefficients that unseen data confirm
@@ -181,14 +173,18 @@ class Diagnosis:
     following: tuple[str, ...] = ()  # surfaces that only follow the outputs
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly; what else is here is valid
     together: tuple[CancellingPair, ...] = ()  # pairs of causes of which the record knows one combination alone
-    # Larger than on any aircraft, and out of the model; and what was estimated together with one.
-    beyond: tuple[Cause, ...] = ()
+    beyond: tuple[Cause, ...] = ()  # larger than on any aircraft, or estimated with such a one; out of the model
     tested: Tested | None = None  # of a diagnosis by trajectories alone
     compared: str = COEFFICIENTS  # with what the model was compared: the name of its stage
     gusts: Mapping[str, float] = field(default_factory=dict)  # m/s, of records that asked for process noise by them
     changes: tuple[ParameterChange, ...] = ()  # parameters that take another value during the records
     terms: tuple[FoundTerm, ...] = ()  # forms of the structure that no effect of the catalogue explains
     absorbed: tuple[Absorbed, ...] = ()  # parameters of controls at rest, and effects that they may have taken up
+
+    def judged(self, **changes: Any) -> Diagnosis:
+        """With some parts changed, and the verdict that follows."""
+        d = replace(self, **changes)
+        return replace(d, verdict=verdict_of(d.causes, d.left, d.tested, d.noise, d.absorbed))
 
     @property
     def by_coefficients(self) -> bool:
@@ -197,7 +193,6 @@ class Diagnosis:
 
     @property
     def left(self) -> tuple[UnexplainedStructure | ParameterChange, ...]:
-        """What no cause explains."""
         return (*self.unknown, *self.changes)
 
     @property
@@ -207,37 +202,24 @@ class Diagnosis:
 
 
 def verdict_of(
-    causes: Sequence[Cause], unknown: Sequence[UnexplainedStructure | ParameterChange], tested: Tested | None = None
+    causes: Sequence[Cause],
+    left: Sequence[UnexplainedStructure | ParameterChange],
+    tested: Tested | None = None,
+    noise: NoiseReport | None = None,
+    absorbed: Sequence[Absorbed] = (),
 ) -> Verdict:
     """What is missing counts as explained by causes that are sure alone; a change of a parameter is no cause."""
-    of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors'
+    # By innovations: where they stay coloured, something is left. By trajectories alone: so it is where errors are
+    # beyond the noise or were never computed; disturbed air leaves such errors, too, and it is not modelled.
+    coloured = noise is not None and noise.of_innovations and bool(noise.coloured)
     if any(cause.sure for cause in causes):
-        verdict = Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
-    else:
-        verdict = Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
-    return verdict if tested is None else as_tested(verdict, tested)
-
-
-def as_white(verdict: Verdict, noise: NoiseReport) -> Verdict:
-    """A verdict by innovations: where they stay coloured, something is left that is not explained."""
-    if not (noise.of_innovations and noise.coloured):
-        return verdict
-    instead = {Verdict.EXPLAINED: Verdict.PARTLY_EXPLAINED, Verdict.NO_EFFECT: Verdict.UNDECIDED}
-    return instead.get(verdict, verdict)
-
-
-def as_absorbed(verdict: Verdict, absorbed: Sequence[Absorbed]) -> Verdict:
-    """A verdict by coefficients: where a parameter may have taken up an effect, its absence is not decided."""
-    return Verdict.UNDECIDED if absorbed and verdict is Verdict.NO_EFFECT else verdict
-
-
-def as_tested(verdict: Verdict, tested: Tested) -> Verdict:
-    """A verdict by trajectories alone: what is left beyond the noise, or was never computed, is not explained."""
-    if verdict is Verdict.EXPLAINED and not tested.within_noise:
-        return Verdict.PARTLY_EXPLAINED
-    if verdict is Verdict.NO_EFFECT and tested.beyond:  # disturbed air leaves such errors, too, and it is not modelled
-        return Verdict.UNDECIDED
-    return verdict
+        more = left or coloured or (tested is not None and not tested.within_noise)
+        return Verdict.PARTLY_EXPLAINED if more else Verdict.EXPLAINED
+    if left or any(cause.stage != FLIGHT_PATH for cause in causes):  # the others are the sensors'
+        return Verdict.UNEXPLAINED
+    # Where a parameter may have taken up an effect, its absence is not decided.
+    open_ = coloured or (tested is not None and tested.beyond) or absorbed
+    return Verdict.UNDECIDED if open_ else Verdict.NO_EFFECT
 
 
 # --- What a check of records has found, before anything is fitted.
@@ -249,7 +231,7 @@ class SensorCheck:
 
     note: str  # why it was not done; empty where it was
     errors: dict[str, dict[str, Any]]
-    rms: dict[str, tuple[float, float]]
+    rms: dict[str, Value]
 
 
 @dataclass(frozen=True)
@@ -285,8 +267,8 @@ class SizeInBand:
     cause: str
     parameter: str
     unit: str
-    in_band: tuple[float, float]
-    coefficients: tuple[float, float]
+    in_band: Value
+    coefficients: Value
     apart: float  # their difference in standard errors of the difference
 
 
@@ -294,7 +276,7 @@ class SizeInBand:
 class CausesInBand:
     """Sizes of the causes in a band of frequencies."""
 
-    band: tuple[float, float]  # Hz
+    band: Value  # Hz
     sizes: tuple[SizeInBand, ...]
     unseen: tuple[str, ...]  # parameters of causes that the band does not show
     converged: bool  # whether the fit did
@@ -309,7 +291,7 @@ class FoundTerm:
 
     coefficient: str  # to which it adds size times the term
     term: ProductTerm
-    size: tuple[float, float]  # estimate and standard error of its factor
+    size: Value  # estimate and standard error of its factor
     share: float  # of the variance left without it of the coefficient, or of the flown output that it explains most
     gain: float  # log density of left-out folds, divided by the variance inflation
     weight: float  # posterior probability of this term among itself and the `others`
@@ -320,6 +302,7 @@ class FoundTerm:
 # --- Simulated trajectories: errors by flight, estimates, tests of effects, a fit by itself.
 
 START, FITTED = "start", "fitted"
+WINDOW = 12.0  # s, of the first fits
 
 
 @dataclass(frozen=True)
@@ -364,8 +347,7 @@ class SimulatedManoeuvre:
     """One simulated manoeuvre."""
 
     manoeuvre: str
-    # card or extended; of a fit by itself (`fit_trajectories`) start or fitted, of parameters from elsewhere given
-    model: str
+    model: str  # card or extended; of a fit by itself start or fitted; given, of parameters from elsewhere
     split: str  # fitted (jointly, initial state too) or hold_out (from the measured state); else as the model
     inside: bool  # the flight envelope
     errors: Mapping[str, Error]
@@ -381,7 +363,7 @@ class LagTest:
     effect: str
     gain: float  # of the joint fit
     kept: bool = False  # hold-out flights confirm the lag
-    unseen: tuple[float, float] = (float("nan"), float("nan"))  # on hold-out flights; NaN where `gain` is too little
+    unseen: Value = (float("nan"), float("nan"))  # on hold-out flights; NaN where `gain` is too little
     instead: tuple[str, ...] = ()  # parameters of hysteresis that it replaces
     slight: bool = False  # too small to be named
     decisive: float = 3.0  # nats that the joint fit must gain
@@ -437,6 +419,8 @@ class Setting:
     initial: Mapping[str, float] | None = None
     priors: bool = True  # of the reported fit, of parameters and initial states alike
     held: bool = False  # inputs between samples; else they are linear
+    window: float = WINDOW
+    biases: Mapping[str, Prior] = field(default_factory=dict)  # outputs recorded with a constant error, fitted, too
 
 
 @dataclass(frozen=True)
@@ -451,7 +435,6 @@ class TrajectoryFit:
         variance_inflation: variance inflation of the residuals; NaN if the model left the envelope.
         outputs: all recorded outputs; those fitted are in `fit`.
         units: SI units by channel.
-        window: length of the windows of the first fits, s.
         noise_growth: noise growth in fully separated flow, by fitted output.
         setting: settings of the fit.
         frequency: fits of the same parameters in a band, where one was asked for.
@@ -465,11 +448,10 @@ class TrajectoryFit:
     fit: Any
     start: Float[np.ndarray, " k"]
     paths: tuple[SimulatedManoeuvre, ...]
-    initial: Mapping[str, Mapping[str, tuple[float, float]]]
+    initial: Mapping[str, Mapping[str, Value]]
     variance_inflation: float
     outputs: tuple[str, ...]
     units: Mapping[str, str]
-    window: float
     noise_growth: Mapping[str, float] = field(default_factory=dict)
     setting: Setting = field(default_factory=Setting)
     frequency: tuple[FrequencyFit, ...] = ()
@@ -480,21 +462,24 @@ class TrajectoryFit:
     departure_sd: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def window(self) -> float:
+        """Length of the windows of the first fits, s."""
+        return self.setting.window
+
+    @property
     def converged(self) -> bool:
         """Whether the fit converged; a parameter may be at its bound."""
         return self.fit.status.name in ("CONVERGED", "AT_BOUND")
 
     @property
     def manoeuvres(self) -> tuple[str, ...]:
-        """Names of the manoeuvres."""
         return tuple(dict.fromkeys(p.manoeuvre for p in self.paths))
 
     def path(self, manoeuvre: str, model: str) -> SimulatedManoeuvre:
-        """The path of one manoeuvre and model (`start` or `fitted`)."""
         return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
 
     @property
-    def rms_errors(self) -> dict[str, tuple[float, float]]:
+    def rms_errors(self) -> dict[str, Value]:
         """Root mean square error of each output over all manoeuvres, SI: at the first values, and of the fit."""
 
         def rms(model: str, output: str) -> float:
@@ -522,8 +507,8 @@ class Disagreement:
 
     name: str
     unit: str
-    coefficients: tuple[float, float]
-    trajectories: tuple[float, float]
+    coefficients: Value
+    trajectories: Value
     apart: float
 
 
@@ -543,13 +528,11 @@ class ProcessNoise:
     status: str  # how the fit ended
     converged: bool  # whether its numbers mean something
     gain: float  # log likelihood beyond that of output error, nats
-    estimates: Mapping[str, tuple[float, float]]  # by parameter, each with its standard error
+    estimates: Mapping[str, Value]  # by parameter, each with its standard error
     F: Mapping[str, float]  # process noise by state, unit of the state per square root of a second
     noise_sd: Mapping[str, float]  # standard deviation of the measurement noise by output
     autocorrelation: Mapping[str, float]  # of neighbouring innovations; 0 if the disturbance is as modelled
-    # Intensity (m/s) and scale length (m) of each gust, and of buffet (1; chords) where the flow separates, by
-    # parameter, with standard errors.
-    gusts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    gusts: Mapping[str, Value] = field(default_factory=dict)  # intensity (m/s; of buffet 1) and length (m; chords)
     histories: tuple[GustHistory, ...] = ()  # what was met, by manoeuvre; empty where no gust has an intensity
     one_step: OneStep | None = None  # whether one-step predictions are calibrated; None without convergence
     covariance: Float[np.ndarray, "k k"] | None = None  # of the `estimates`, in their order
@@ -571,10 +554,9 @@ class FlownMode:
 
     name: str  # short period, phugoid, Dutch roll, roll, spiral; other where no name fits
     eigenvalue: complex  # 1/s; of a pair the one of positive imaginary part
-    sd: tuple[float, float]  # standard errors of its real and imaginary part, 1/s
-    # Period, time_constant, time_to_half and time_to_double in s, damping_ratio; each with its standard error. What the
-    # data do not tell apart from none is left out.
-    quantities: Mapping[str, tuple[float, float]]
+    sd: Value  # standard errors of its real and imaginary part, 1/s
+    # Period, time_constant, time_to_half, time_to_double (s), damping_ratio; not what the data do not tell from none.
+    quantities: Mapping[str, Value]
 
 
 @dataclass(frozen=True)
@@ -611,11 +593,9 @@ class Fitted:
 
     residual: Float[np.ndarray, "n c"]  # of the coefficients at the recorded rate
     signals: Mapping[str, np.ndarray]  # what explains the coefficients, by name, (n,)
-    # By coefficient: scores, Theil's parts, autocorrelation at lag 1 and calibration of the residuals.
-    composition: Mapping[str, Mapping[str, Any]]
+    composition: Mapping[str, Mapping[str, Any]]  # scores, Theil's parts, lag 1 and calibration by coefficient
     profiles: tuple[tuple[ResidualProfile, ...], ...]  # by coefficient, the clearest dependence first
-    state: Any  # the regression problem at its optimum: `selection_state.SelectionState`, and its fit
-    fit: Any
+    state: Any  # the regression problem at its optimum: `selection_state.SelectionState`
 
 
 @dataclass(frozen=True)
@@ -630,14 +610,6 @@ class ParameterMove:
 
 
 @dataclass(frozen=True)
-class JointCovariance:
-    """Covariance (k, k) of the extended model's estimates, SI, for coloured residuals; `names` (k) are its rows."""
-
-    names: tuple[str, ...]
-    matrix: Float[np.ndarray, "k k"]
-
-
-@dataclass(frozen=True)
 class RankedCandidate:
     """One candidate of a stage's first screening, at its best value."""
 
@@ -646,7 +618,7 @@ class RankedCandidate:
     score: float
     p_value: float
     explains: float  # share of the remaining variance that it would take away, by which candidates are taken in turn
-    estimate: Mapping[str, tuple[float, float]]  # and standard error, by parameter
+    estimate: Mapping[str, Value]  # and standard error, by parameter
 
 
 @dataclass(frozen=True)
@@ -680,7 +652,7 @@ class HoldoutScores:
     """Both models on each manoeuvre, in the fit and on hold-out data (means over blocks of about 5 Hz)."""
 
     names: tuple[str, ...]  # of the manoeuvres
-    # Of each coefficient, by model (`card`, `extended`), data (`fitted`, `hold_out`) and the manoeuvre's number.
+    # By model (`card`, `extended`), data (`fitted`, `hold_out`), number of the manoeuvre, and coefficient.
     scores: Mapping[tuple[str, str, int], Mapping[str, Scores]]
     gains: Mapping[tuple[str, str], Compared]  # of the extended model, on hold-out data, by manoeuvre and coefficient
     hold_out: float  # standard errors of a loss that is significant
@@ -697,7 +669,7 @@ class DiagnosisView:
     diagnosis: Diagnosis
     rankings: tuple[Ranking, ...]
     moves: Mapping[str, ParameterMove]
-    covariance: JointCovariance | None = None
+    covariance: tuple[tuple[str, ...], Float[np.ndarray, "k k"]] | None = None  # of the extended model's estimates
     trajectories: Trajectories | None = None
 
     @property
@@ -752,7 +724,7 @@ class Size:
     at_bound: bool = False  # the fit wants to go on beyond the parameter's bounds: this is no measurement of it
 
     @property
-    def ci95(self) -> tuple[float, float]:
+    def ci95(self) -> Value:
         """Mean -+ 1.96 deviations."""
         return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
 
@@ -762,9 +734,8 @@ class Confirmation:
     """What unseen data say of additions; gains of log density with their deviations."""
 
     kept: tuple[str, ...]  # additions that unseen data miss
-    missed: Mapping[str, tuple[float, float]]  # what each is missed by
-    # Of those not kept, outputs that are predicted worse with the addition.
-    harmed: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+    missed: Mapping[str, Value]  # what each is missed by
+    harmed: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)  # outputs worse with one that is not kept
 
 
 # Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
@@ -808,11 +779,9 @@ class Absorbed:
     parameter: str
     unit: str
     control: str
-    estimate: tuple[float, float]  # its value in the fit, with its deviation
-    usual: tuple[float, float]  # that of its prior
-    # By effect, how large each would be, were it the whole cause and the parameter as usual, with a deviation that
-    # knows the prior's width.
-    sizes: dict[str, Size]
+    estimate: Value  # its value in the fit, with its deviation
+    usual: Value  # that of its prior
+    sizes: dict[str, Size]  # of each effect, were it the whole cause and the parameter as usual
 
     @property
     def members(self) -> frozenset[str]:
@@ -895,8 +864,7 @@ class TestPoint:
     airspeed: float  # m/s, of the level flight in which it begins
     altitude: float  # m
     seconds: float
-    excursion: Mapping[str, tuple[float, float]]  # least and greatest of the envelope's quantities, SI
-    # By question, from the records, the earlier points and this one: standard deviations by which the closest rivals
-    # differ, or the probability to pass a tolerance.
+    excursion: Mapping[str, Value]  # least and greatest of the envelope's quantities, SI
+    # By question, with this point: deviations between the closest rivals, or the probability to pass a tolerance.
     expected: tuple[float, ...]
     rate: float  # nats a second

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc, ndtr, ndtri, stdtr
 
-from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.selection_state import (
     TINY,
+    DiagnosisSettings,
     RegressionFit,
     SelectionState,
     inverse,
@@ -35,6 +35,14 @@ from bayes_aero.inference.covariance import (
     variance_inflation,
 )
 
+Records = Float[np.ndarray, "r m c"]
+White = Float[np.ndarray, "t f r c"]
+Vector = Float[np.ndarray, " k"]
+Square = Float[np.ndarray, "k k"]
+Rows = Float[np.ndarray, "m c"]
+Columns = Int[np.ndarray, " k"]
+Marks = Int[np.ndarray, " m"]
+
 # --- The colour of residuals: an autoregression per output, the uncertainty it leaves, and noise records made from it.
 
 TOGETHER = 10  # colours that columns are filtered for at a time: of more, fresh memory takes longer than arithmetic
@@ -47,9 +55,7 @@ class Autocorrelation:
     phi: Float[np.ndarray, "c p"]
     sigma: Float[np.ndarray, " c"]
 
-    def coloured(
-        self, white: Float[np.ndarray, "t f r c"], folds: Sequence[slice], m: int
-    ) -> Float[np.ndarray, "r m c"]:
+    def coloured(self, white: White, folds: Sequence[slice], m: int) -> Records:
         """The noise records that this colour makes of `white_noise`."""
         out = np.zeros((white.shape[2], m, len(self.sigma)))
         if not len(out):
@@ -59,17 +65,13 @@ class Autocorrelation:
             out[:, fold] = np.moveaxis(noise[: fold.stop - fold.start, k], 0, 1)
         return out
 
-    def meat(
-        self, S: Float[np.ndarray, "m c k"], variance: Float[np.ndarray, " c"], folds: Sequence[slice]
-    ) -> Float[np.ndarray, "k k"]:
+    def meat(self, S: Float[np.ndarray, "m c k"], variance: Float[np.ndarray, " c"], folds: Sequence[slice]) -> Square:
         """sum_ij S_i' R^-1 Rvv(i-j) R^-1 S_j under this colour: the middle of the corrected covariance."""
         # S filtered backwards by the autoregression gives it as a plain product. Source: as `inference.covariance`.
         return Middle(S, variance, folds, [np.arange(S.shape[2])]).under_each([self], [0])[1][0][0]
 
 
-def white_noise(
-    count: int, folds: Sequence[slice], outputs: int, rng: np.random.Generator
-) -> Float[np.ndarray, "t f r c"]:
+def white_noise(count: int, folds: Sequence[slice], outputs: int, rng: np.random.Generator) -> White:
     """Of unit deviation, behind `count` noise records: the folds side by side, for one loop over time."""
     longest = max(fold.stop - fold.start for fold in folds)
     white = np.zeros((longest, len(folds), count, outputs))
@@ -80,23 +82,16 @@ def white_noise(
 
 
 class SharedNoise:
-    """`white_noise` of one seed, drawn once for what corrects autocorrelations and for what p-values count."""
+    """`white_noise` of one seed, drawn once: behind what corrects autocorrelations, then behind what p-values count."""
 
     def __init__(self, seed: int, folds: Sequence[slice], outputs: int, settings: DiagnosisSettings) -> None:
-        self._rng = np.random.default_rng(seed)
-        self._of = folds, outputs
-        self._counts = settings.correction_replicates, settings.replicates
+        rng = np.random.default_rng(seed)
+        self.correction = white_noise(settings.correction_replicates, folds, outputs, rng)
+        self._rest = lambda: white_noise(settings.replicates, folds, outputs, rng)
 
     @cached_property
-    def correction(self) -> Float[np.ndarray, "t f r c"]:
-        """Behind the `correction_replicates`."""
-        return white_noise(self._counts[0], *self._of, self._rng)
-
-    @cached_property
-    def replicates(self) -> Float[np.ndarray, "t f r c"]:
-        """Behind the `replicates`, which are drawn after the others."""
-        _ = self.correction
-        return white_noise(self._counts[1], *self._of, self._rng)
+    def replicates(self) -> White:
+        return self._rest()
 
 
 class Middle:
@@ -107,24 +102,21 @@ class Middle:
     def __init__(
         self, S: Float[np.ndarray, "m c k"], variance: np.ndarray, folds: Sequence[slice], places: Sequence[np.ndarray]
     ) -> None:
-        self.width = S.shape[2]
-        self.places = places
-        pieces = [(fold, c) for fold in folds for c in range(S.shape[1])]
-        longest = max(fold.stop - fold.start for fold in folds)
-        self.used, rows = [], []  # columns of a piece that are not all zero
-        for fold, c in pieces:
-            part = S[fold, c]
-            used = np.flatnonzero(np.any(part != 0.0, axis=0))
-            rest = np.zeros((longest - len(part), len(used)))
-            self.used.append(used)
-            rows.append(np.concatenate([rest, part[::-1, used] / variance[c]]))
+        self.width, self.places = S.shape[2], places
+        pieces = [(S[fold, c], c) for fold in folds for c in range(S.shape[1])]
+        longest = max(len(part) for part, _ in pieces)
+        self.used = [np.flatnonzero(np.any(part != 0.0, axis=0)) for part, _ in pieces]  # columns not all zero
+        rows = [
+            np.pad(part[::-1, used] / variance[c], ((longest - len(part), 0), (0, 0)))
+            for (part, c), used in zip(pieces, self.used, strict=True)
+        ]
         self.rows = np.concatenate(rows, axis=1)
         self.output = np.repeat([c for _, c in pieces], [len(used) for used in self.used])
         self.begin = np.cumsum([0, *(len(used) for used in self.used)])
 
     def under_each(
         self, colours: Sequence[Autocorrelation], wide: Sequence[int]
-    ) -> tuple[Float[np.ndarray, "r k"], list[np.ndarray]]:
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Under each of r colours, the diagonal over all columns (r, k), and the whole (r, w, w) of sets `wide`."""
         diagonal = np.zeros((len(colours), self.width))
         whole = [np.zeros((len(colours), len(self.places[j]), len(self.places[j]))) for j in wide]
@@ -147,13 +139,12 @@ class Middle:
         return diagonal, whole
 
 
-def autocorrelation_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Autocorrelation:
+def autocorrelation_of(residual: Rows, folds: Sequence[slice]) -> Autocorrelation:
     """Least-squares autoregression of each output's residual within folds, its roots kept inside `MAX_ROOT`."""
     return autocorrelations_of(residual[None], folds)[0]
 
 
-def autocorrelations_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[slice]) -> list[Autocorrelation]:
-    """`autocorrelation_of` of r records at once."""
+def autocorrelations_of(residuals: Records, folds: Sequence[slice]) -> list[Autocorrelation]:
     each = [
         autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
         for c in range(residuals.shape[2])
@@ -173,7 +164,6 @@ def unbiased(colour: Autocorrelation, again: Sequence[Autocorrelation]) -> Autoc
 
 
 def lag1_within(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " n"]) -> float:
-    """Correlation of neighbouring samples, within manoeuvres."""
     parts = [r - r.mean() for r in (residual[manoeuvre == k] for k in range(int(manoeuvre[-1]) + 1))]
     return float(sum(np.sum(r[1:] * r[:-1]) for r in parts) / sum(np.sum(r**2) for r in parts))
 
@@ -185,30 +175,31 @@ class PartialledRegression:
     """Candidate columns with the active ones projected out, under the variances of the present fit."""
 
     def __init__(self, state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> None:
-        self.wanted = np.unique(np.concatenate(blocks))
-        self.place = [np.searchsorted(self.wanted, block) for block in blocks]
-        S, base, weight = state.scaled, fit.columns, 1.0 / fit.variance
-        self.inside = state.inside
-        A, B = (np.where(self.inside[:, None, None], S[:, :, own], 0.0) for own in (self.wanted, base))
-        cross = np.einsum("mcb,c,mcj->bj", B, weight, A, optimize=True)
+        self.state, self.fit, self.weight, wanted = state, fit, 1.0 / fit.variance, np.unique(np.concatenate(blocks))
+        self.place = [np.searchsorted(wanted, block) for block in blocks]
+        A, B = (np.where(state.inside[:, None, None], state.scaled[:, :, own], 0.0) for own in (wanted, fit.columns))
+        cross = np.einsum("mcb,c,mcj->bj", B, self.weight, A, optimize=True)
         self.P = A - np.einsum("mcb,bj->mcj", B, inverse(fit.normal) @ cross, optimize=True)
-        self.information = np.einsum("mci,c,mcj->ij", self.P, weight, self.P, optimize=True)
+        self.information = np.einsum("mci,c,mcj->ij", self.P, self.weight, self.P, optimize=True)
         self.bread = [inverse(self.information[np.ix_(place, place)]) for place in self.place]
-        self.weight = weight
-        self.folds = state.folds
         self.middle = Middle(self.P, fit.variance, state.folds, self.place)
 
     def right(self, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r w"]:
         return np.tensordot(residual * self.weight, self.P, 2)
 
-    def scores(
-        self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation, stretch: Int[np.ndarray, " m"]
-    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Estimates and covariances, by colour, or by how far stretches disagree where that is less sure."""
+    def estimates(self, residual: Rows) -> list[np.ndarray]:
         right = self.right(residual)
-        whole = self.middle.under_each([colour], range(len(self.place)))[1]
-        estimates = [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
-        covariances = [bread @ meat[0] @ bread for bread, meat in zip(self.bread, whole, strict=True)]
+        return [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
+
+    def gains(self, right: Float[np.ndarray, "r w"]) -> Float[np.ndarray, "j r"]:
+        """What each block takes away of the weighted squares of r records."""
+        pairs = zip(self.place, self.bread, strict=True)
+        return np.array([np.einsum("ri,ij,rj->r", right[:, p], B, right[:, p], optimize=True) for p, B in pairs])
+
+    def scores(self, residual: Rows, colour: Autocorrelation, stretch: Marks) -> tuple[list[np.ndarray], ...]:
+        """Estimates and covariances, by colour, or by how far stretches disagree where that is less sure."""
+        whole, estimates = self.middle.under_each([colour], range(len(self.place)))[1], self.estimates(residual)
+        covariances = [bread @ meat @ bread for bread, (meat,) in zip(self.bread, whole, strict=True)]
         for j, (place, bread, estimate) in enumerate(zip(self.place, self.bread, estimates, strict=True)):
             if stretch.max():
                 P = self.P[:, :, place]
@@ -218,24 +209,21 @@ class PartialledRegression:
                     covariances[j] = between
         return estimates, covariances
 
-    def deviance(
-        self, residual: Float[np.ndarray, "m c"], block: int | None = None, estimate: np.ndarray | float = 0.0
-    ) -> float:
+    def deviance(self, residual: Rows, block: int = 0, estimate: np.ndarray | None = None) -> float:
         """n log det of the whole covariance of what a block leaves at its first-order estimate."""
         # It stays the same when an output is exchanged for its sum with a share of another; the product of the
         # variances does not.
-        left = residual if block is None else residual - self.P[:, :, self.place[block]] @ estimate
-        left = left[self.inside]
+        left = residual if estimate is None else residual - self.P[:, :, self.place[block]] @ estimate
+        left = left[self.state.inside]
         return float(len(left) * np.linalg.slogdet(left.T @ left / len(left))[1])
 
-    def largest(
-        self, noises: Float[np.ndarray, "r m c"], colours: Sequence[Autocorrelation]
-    ) -> Float[np.ndarray, " r"]:
-        """The largest score that any block reaches in each of r records."""
+    def nulls(self, colour: Autocorrelation, white: White) -> Float[np.ndarray, " r"]:
+        """The largest score that any block reaches in each noise-only record of this colour."""
+        noises = noise_records(self.state, self.fit, colour, white)
         alone = np.array([place[0] for place in self.place if len(place) == 1], int)
         wide = [j for j, place in enumerate(self.place) if len(place) > 1]
         right = self.right(noises)
-        diagonal, whole = self.middle.under_each(colours, wide)
+        diagonal, whole = self.middle.under_each(autocorrelations_of(noises, self.state.folds), wide)
         # Of a single parameter the information cancels.
         scores = np.abs(right[:, alone]) / np.sqrt(np.maximum(diagonal[:, alone], TINY))
         best = np.max(scores, axis=1, initial=0.0)
@@ -246,17 +234,13 @@ class PartialledRegression:
         return best
 
     def apart(
-        self,
-        residual: Float[np.ndarray, "m c"],
-        estimates: Sequence[np.ndarray],
-        own: int,
-        colour: Autocorrelation,
-        blocks: Int[np.ndarray, " m"],
+        self, residual: Rows, estimates: Sequence[np.ndarray], own: int, colour: Autocorrelation, blocks: Marks
     ) -> Float[np.ndarray, " j"]:
         """Variance inflation along the difference of what each block and block `own` explain (1 for `own`)."""
-        explained = [self.P[:, :, place] @ estimate for place, estimate in zip(self.place, estimates, strict=True)]
-        D = np.stack([part - explained[own] for part in explained], axis=2)
-        return inflation_along(D, self.weight, self.folds, colour, (residual - explained[own], blocks))
+        pairs = zip(self.place, estimates, strict=True)
+        explained = np.stack([self.P[:, :, place] @ estimate for place, estimate in pairs], axis=2)
+        D, left = explained - explained[:, :, [own]], (residual - explained[:, :, own], blocks)
+        return inflation_along(D, self.weight, self.state.folds, colour, left)
 
 
 def inflation_along(
@@ -264,7 +248,7 @@ def inflation_along(
     weight: Float[np.ndarray, " c"],
     folds: Sequence[slice],
     colour: Autocorrelation,
-    left_in_blocks: tuple[Float[np.ndarray, "m c"], Int[np.ndarray, " m"]] | None = None,
+    left_in_blocks: tuple[Rows, Marks] | None = None,
 ) -> Float[np.ndarray, " j"]:
     """Variance inflation along j directions: by colour, or by how far blocks of what is left disagree where more."""
     variance = Middle(D, 1.0 / weight, folds, []).under_each([colour], [])[0][0]
@@ -296,29 +280,25 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
 # --- Noise of coefficients that grows as the flow separates.
 
 
-def noise_growth_of(state: SelectionState, fit: RegressionFit) -> Float[np.ndarray, "m c"]:
+def noise_growth_of(state: SelectionState) -> Rows:
     """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0; flight-path outputs have none."""
-    coefficients = state.responses.model.coefficients
-    if not set(state.outputs) & set(coefficients):
-        return np.ones_like(state.residual)
-    apart = state.responses.separated(state.theta)
-    residual = state.left(fit) * state.noise_growth
+    growth, own = np.ones_like(state.residual), state.responses.model.coefficients
+    coefficients = [c for c, name in enumerate(state.outputs) if name in own]
+    apart = state.responses.separated(state.theta) if coefficients else np.zeros(1)
+    if np.ptp(apart) < 0.05:
+        return growth
+    residual = state.left() * state.noise_growth
     colour = autocorrelation_of(residual, state.folds)
-    noise_growth = np.ones_like(residual)  # b by least squares of |innovation| on 1 - X
-    for c, name in enumerate(state.outputs):
-        if name not in coefficients or np.ptp(apart) < 0.05:
-            continue
-        size, x = [], []
-        for fold in state.folds:
-            r = residual[fold, c]
+    for c in coefficients:  # b by least squares of |innovation| on 1 - X
+        size = []
+        for r in (residual[fold, c] for fold in state.folds):
             past = np.stack([r[ORDER - i : len(r) - i] for i in range(1, ORDER + 1)])
             size.append(np.abs(r[ORDER:] - colour.phi[c] @ past))
-            x.append(apart[fold][ORDER:])
-        innovation = np.concatenate(size)
-        slope, level = np.polyfit(np.concatenate(x), np.minimum(innovation, 10 * np.median(innovation)), 1)
+        x, innovation = np.concatenate([apart[fold][ORDER:] for fold in state.folds]), np.concatenate(size)
+        slope, level = np.polyfit(x, np.minimum(innovation, 10 * np.median(innovation)), 1)
         if level > 0.0:
-            noise_growth[:, c] = 1.0 + max(0.0, slope / level) * apart
-    return noise_growth
+            growth[:, c] = 1.0 + max(0.0, slope / level) * apart
+    return growth
 
 
 # --- Scores of all candidates, and noise-only replicates.
@@ -357,7 +337,6 @@ class ScreeningResult:
     nulls: Float[np.ndarray, " r"]
 
     def p_value(self, score: float) -> float:
-        """Share of noise-only replicates in which some candidate scores at least as high."""
         return chance_of(score, self.nulls)
 
     def threshold(self, level: float) -> float:
@@ -370,97 +349,69 @@ class ScreeningResult:
 
 
 def screen(
-    state: SelectionState,
-    fit: RegressionFit,
-    *,
-    seed: int = 0,
-    nulls: bool = False,
-    without: str | None = None,
-    noise: SharedNoise | None = None,
+    state: SelectionState, *, nulls: bool = False, without: str | None = None, noise: SharedNoise | None = None
 ) -> ScreeningResult:
     """Fit every candidate beside all active parameters; draw noise-only replicates (`nulls`) under the present model.
     `without` takes one addition out first: it is then a candidate, and the others are told `apart` from it."""
-    if without is not None:
-        state = state.without([without])
-        fit = state.fit()
-    residual, blocks = state.left(fit), [b for b in state.blocks if b[0] not in state.active]
+    state = state if without is None else state.without([without])
+    fit, residual, blocks = state.best, state.left(), [b for b in state.blocks if b[0] not in state.active]
+    colour, stretch = autocorrelation_of(residual, state.folds), state.responses.stretch
     if not blocks:
-        return ScreeningResult((), autocorrelation_of(residual, state.folds), np.zeros(0))
+        return ScreeningResult((), colour, np.zeros(0))
     projected = PartialledRegression(state, fit, [b[1] for b in blocks])
-    noise = SharedNoise(seed, state.folds, residual.shape[1], state.settings) if noise is None else noise
-    colour = autocorrelation_of(residual, state.folds)
+    noise = SharedNoise(0, state.folds, residual.shape[1], state.settings) if noise is None else noise
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = noise_records(state, fit, colour, noise.correction)
     colour = unbiased(colour, autocorrelations_of(drawn, state.folds))
-    estimates, covariances = projected.scores(residual, colour, state.responses.stretch)
+    estimates, covariances = projected.scores(residual, colour, stretch)
     # The deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros.
     columns, dummy, width = state.columns(), state.S.shape[2] - 1, max(len(block[1]) for block in blocks)
     rows = [np.concatenate([columns, own, np.full(width - len(own), dummy)]) for _, own, _ in blocks]
     steps, _, _, deviances = state.products.fit_many(np.array(rows, int), state.mean, state.precision)
-    gains, steps = fit.deviance - deviances, steps[:, len(columns) :]
-    before = projected.deviance(residual)
-    away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[j], default=None)
-    scanned = {scan.effect: state.theta[state.full.columns([scan.parameter])[0]] for scan in reversed(state.scans)}
-    apart = None if away is None else projected.apart(residual, estimates, away, colour, state.responses.stretch)
+    gains, steps, before = fit.deviance - deviances, steps[:, len(columns) :], projected.deviance(residual)
+    scanned, apart = {s.effect: state.theta[state.full.columns([s.parameter])[0]] for s in reversed(state.scans)}, None
+    if without is not None and without in {b[0] for b in blocks}:
+        away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[j])
+        apart = projected.apart(residual, estimates, away, colour, stretch)
     scores = []
-    for j, (effect, own_columns, value) in enumerate(blocks):
+    for j, (effect, own, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
-        inflation = variance_inflation(variance, np.diag(projected.bread[j]))
-        step, prior = steps[j][: len(own_columns)], state.precision[own_columns] / state.variance_inflation
+        step, prior = steps[j][: len(own)], state.precision[own] / state.variance_inflation
         possible = value is None or bool(step[0] * (value - scanned[effect]) > 0.0)  # to the side on which it was tried
+        score = as_normal(equivalent(estimates[j], covariances[j]), state.responses.freedom)
         scores.append(
             CandidateScore(
                 effect=effect,
-                columns=tuple(int(i) for i in own_columns),
+                columns=tuple(int(i) for i in own),
                 value=value,
                 gain=float(gains[j]) if possible else 0.0,
-                score=as_normal(equivalent(estimates[j], covariances[j]), state.responses.freedom) if possible else 0.0,
-                variance_inflation=float(np.max(inflation)),
-                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own_columns], prior),
+                score=score if possible else 0.0,
+                variance_inflation=float(np.max(variance_inflation(variance, np.diag(projected.bread[j])))),
+                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own], prior),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
                 variance_inflation_apart=math.nan if apart is None else float(apart[j]),
             )
         )
-    largest = null_scores(state, fit, projected, colour, noise) if nulls else np.zeros(0)
+    largest = projected.nulls(colour, noise.replicates) if nulls else np.zeros(0)
     return ScreeningResult(tuple(sorted(scores, key=lambda s: -s.gain)), colour, largest)
 
 
-def null_scores(
-    state: SelectionState,
-    fit: RegressionFit,
-    projected: PartialledRegression,
-    colour: Autocorrelation,
-    noise: SharedNoise,
-) -> Float[np.ndarray, " r"]:
-    """The largest score of any candidate in each noise-only replicate of this colour."""
-    noises = noise_records(state, fit, colour, noise.replicates)
-    return projected.largest(noises, autocorrelations_of(noises, state.folds))
-
-
-def null_shares(
-    state: SelectionState, colour: Autocorrelation, variance: Float[np.ndarray, " c"], seed: int
-) -> Float[np.ndarray, " r"]:
+def null_shares(state: SelectionState, colour: Autocorrelation, variance: np.ndarray, seed: int) -> np.ndarray:
     """Largest share of one output's variance that any block of one output explains in each record of such noise."""
     # Both are what is left with the component in whose share is judged: with it out, structure would pass for slow
     # noise, and noise of the other outputs for a share of it.
-    fit, count = state.fit_columns(state.columns(), held=variance), state.settings.unnamed_replicates
+    fit, count = state.fit(held=variance), state.settings.unnamed_replicates
     projected = PartialledRegression(state, fit, [block[1] for block in state.blocks])
     output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
     white = white_noise(count, state.folds, len(colour.sigma), np.random.default_rng(seed))
     noises = noise_records(state, fit, colour, white)
-    total, right = np.sum(noises**2, axis=1) / fit.variance, projected.right(noises)
-    shares = [
-        np.einsum("ri,ij,rj->r", right[:, place], bread, right[:, place], optimize=True) / total[:, c]
-        for place, bread, c in zip(projected.place, projected.bread, output, strict=True)
-    ]
-    return np.max(shares, axis=0)
+    total = np.sum(noises**2, axis=1) / fit.variance
+    return np.max(projected.gains(projected.right(noises)) / total[:, output].T, axis=0)
 
 
-def noise_records(
-    state: SelectionState, fit: RegressionFit, colour: Autocorrelation, white: Float[np.ndarray, "t f r c"]
-) -> Float[np.ndarray, "r m c"]:
+def noise_records(state: SelectionState, fit: RegressionFit, colour: Autocorrelation, white: White) -> Records:
     """What is left of noise records of a colour, made of `white_noise`, when the active columns are fitted to them."""
     residual = colour.coloured(white, state.folds, len(state.residual))
     B = state.scaled[:, :, fit.columns]
@@ -469,7 +420,6 @@ def noise_records(
 
 
 def chance_of(score: float, nulls: Float[np.ndarray, " r"]) -> float:
-    """p-value of a score among those of noise-only records."""
     return float((1 + np.sum(nulls >= score)) / (1 + len(nulls)))
 
 
@@ -485,18 +435,14 @@ def log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, pr
     return float(log_normal(estimate - mean, wide) - log_normal(estimate, covariance))
 
 
-def uncertainty(
-    state: SelectionState, fit: RegressionFit, colour: Autocorrelation | None = None
-) -> Float[np.ndarray, "k k"]:
+def uncertainty(state: SelectionState, colour: Autocorrelation | None = None) -> Square:
     """Covariance of the active columns' estimates that coloured residuals leave (default colour: that of the fit)."""
-    colour = colour or autocorrelation_of(state.left(fit), state.folds)
+    fit, colour = state.best, colour or autocorrelation_of(state.left(), state.folds)
     bread = inverse(fit.normal)
     return bread @ colour.meat(state.scaled[:, :, fit.columns], fit.variance, state.folds) @ bread
 
 
-def block_jackknife_covariance(
-    state: SelectionState, fit: RegressionFit
-) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+def block_jackknife_covariance(state: SelectionState, fit: RegressionFit) -> tuple[Columns, Square]:
     """Active columns but those with which windows begin, and the covariance of their estimates by the jackknife."""
     columns, weight = fit.columns[~np.isin(fit.columns, state.begins)], 1.0 / fit.variance
     left, blocks, parts = state.left(fit), state.responses.parts, []
@@ -509,20 +455,16 @@ def block_jackknife_covariance(
     return columns, jackknife_covariance(np.array([inverse(whole - N) @ right for N, right in parts]))
 
 
-def jackknife_errors(
-    state: SelectionState, fit: RegressionFit, blocks: Int[np.ndarray, " m"]
-) -> Float[np.ndarray, " k"]:
-    """Least standard error of each of the fit's columns, by the jackknife; zero where all is one block."""
-    errors = np.zeros(len(fit.columns))
+def jackknife_errors(state: SelectionState, blocks: Marks) -> Vector:
+    """Least standard error of each of the active columns, by the jackknife; zero where all is one block."""
+    errors = np.zeros(len(state.best.columns))
     if blocks.max():
-        columns, covariance = block_jackknife_covariance(state, fit)
-        errors[np.isin(fit.columns, columns)] = np.sqrt(np.diag(covariance))
+        columns, covariance = block_jackknife_covariance(state, state.best)
+        errors[np.isin(state.best.columns, columns)] = np.sqrt(np.diag(covariance))
     return errors
 
 
-def jackknife_p_value(
-    state: SelectionState, fit: RegressionFit, columns: Int[np.ndarray, " k"], size: Float[np.ndarray, " k"], among: int
-) -> float:
+def jackknife_p_value(state: SelectionState, fit: RegressionFit, columns: Columns, size: Vector, among: int) -> float:
     """p-value of an addition of this `size` by how far it moves without each part, Bonferroni over `among`."""
     own, covariance = block_jackknife_covariance(state, fit)
     at = [int(np.flatnonzero(own == c)[0]) for c in columns]
@@ -535,55 +477,38 @@ def jackknife_p_value(
 # for the best of many candidates. The noise-only replicates make the same choice and pay the same price.
 
 
-class RefitScore:
-    """One candidate's score, log Bayes factor and p-value under its own colour."""
+def refit_p_value(state: SelectionState, standing: CandidateScore, noise: SharedNoise) -> float:
+    """How often noise alone scores as high, each record under its own colour; 1 where the score itself is too small."""
+    wider = state.fit(state.wider(standing.columns))
+    fit, blocks = state.fit(held=wider.variance), [b[1] for b in state.blocks if b[0] not in state.active]
+    projected = PartialledRegression(state, fit, blocks)
 
-    def __init__(self, state: SelectionState, standing: CandidateScore, noise: SharedNoise) -> None:
-        wider = state.fit_columns(state.wider(standing.columns))
-        self.state = state
-        self.fit = state.fit_columns(state.columns(), held=wider.variance)
-        blocks = [b[1] for b in state.blocks if b[0] not in state.active]
-        self.projected = PartialledRegression(state, self.fit, blocks)
-        self.noise = noise
-        first = autocorrelation_of(state.left(wider), state.folds)
-        noises = noise_records(state, self.fit, first, noise.correction)
-        self.colour = unbiased(first, self._left(noises, self._leaders(noises)))
-        number = next(j for j, columns in enumerate(blocks) if tuple(columns) == standing.columns)
-        (estimate,), (covariance,) = self._judged(number, state.left(self.fit)[None], [self.colour])
-        self.score = equivalent(estimate, covariance)
-        at = np.array(standing.columns, int)
-        self.log_bayes = log_bayes(estimate, covariance, state.mean[at], state.precision[at] / state.variance_inflation)
+    def leaders(noises: Records) -> tuple[np.ndarray, list[Autocorrelation]]:
+        """The candidate that explains most of each noise record, and the colours of what it leaves."""
+        right = projected.right(noises)
+        best, left = np.argmax(projected.gains(right), axis=0), []
+        for j, noise, r in zip(best, noises, right, strict=True):
+            place = projected.place[j]
+            left.append(noise - projected.P[:, :, place] @ (projected.bread[j] @ r[place]))
+        return best, autocorrelations_of(np.array(left), state.folds)
 
-    def p_value(self) -> float:
-        """Share of noise-only replicates whose most explaining candidate scores at least as high."""
-        noises = noise_records(self.state, self.fit, self.colour, self.noise.replicates)
-        leaders = self._leaders(noises)
-        colours, scores = self._left(noises, leaders), np.zeros(len(noises))
-        for j in {j for j, _ in leaders}:
-            at = [k for k, (leader, _) in enumerate(leaders) if leader == j]
-            judged = self._judged(j, noises[at], [colours[k] for k in at])
-            scores[at] = [equivalent(*pair) for pair in zip(*judged, strict=True)]
-        return chance_of(self.score, scores)
+    def judged(j: int, residuals: np.ndarray, colours: Sequence[Autocorrelation]) -> list[tuple]:
+        """Estimates of a candidate in r records and their covariances."""
+        bread, P = projected.bread[j], projected.P[:, :, projected.place[j]]
+        middle = Middle(P, fit.variance, state.folds, [np.arange(P.shape[2])])
+        estimates = np.tensordot(residuals * projected.weight, P, 2) @ bread
+        return list(zip(estimates, bread @ middle.under_each(colours, [0])[1][0] @ bread, strict=True))
 
-    def _leaders(self, noises: Float[np.ndarray, "r m c"]) -> list[tuple[int, Float[np.ndarray, " _"]]]:
-        """The candidate that explains most of each noise record, and its estimate."""
-        right = self.projected.right(noises)
-        pairs = list(zip(self.projected.place, self.projected.bread, strict=True))
-        gains = np.array([np.einsum("ri,ij,rj->r", right[:, p], B, right[:, p], optimize=True) for p, B in pairs])
-        best = np.argmax(gains, axis=0)
-        return [(int(j), pairs[j][1] @ r[pairs[j][0]]) for j, r in zip(best, right, strict=True)]
-
-    def _left(
-        self, noises: Float[np.ndarray, "r m c"], leaders: Sequence[tuple[int, Float[np.ndarray, " _"]]]
-    ) -> list[Autocorrelation]:
-        P, place = self.projected.P, self.projected.place
-        left = [noise - P[:, :, place[j]] @ estimate for noise, (j, estimate) in zip(noises, leaders, strict=True)]
-        return autocorrelations_of(np.array(left), self.state.folds)
-
-    def _judged(
-        self, j: int, residuals: Float[np.ndarray, "r m c"], colours: Sequence[Autocorrelation]
-    ) -> tuple[Float[np.ndarray, "r w"], Float[np.ndarray, "r w w"]]:
-        bread, P = self.projected.bread[j], self.projected.P[:, :, self.projected.place[j]]
-        middle = Middle(P, self.fit.variance, self.state.folds, [np.arange(P.shape[2])])
-        right = np.tensordot(residuals * self.projected.weight, P, 2)
-        return right @ bread, bread @ middle.under_each(colours, [0])[1][0] @ bread
+    first = autocorrelation_of(state.left(wider), state.folds)
+    colour = unbiased(first, leaders(noise_records(state, fit, first, noise.correction))[1])
+    own, at = next(j for j, c in enumerate(blocks) if tuple(c) == standing.columns), np.array(standing.columns, int)
+    ((estimate, covariance),) = judged(own, state.left(fit)[None], [colour])
+    score, prior = equivalent(estimate, covariance), state.precision[at] / state.variance_inflation
+    if score < state.settings.least_score or log_bayes(estimate, covariance, state.mean[at], prior) <= 0.0:
+        return 1.0
+    noises = noise_records(state, fit, colour, noise.replicates)
+    (best, colours), scores = leaders(noises), np.zeros(len(noises))
+    for j in np.unique(best):
+        at = np.flatnonzero(best == j)
+        scores[at] = [equivalent(*pair) for pair in judged(j, noises[at], [colours[k] for k in at])]
+    return chance_of(score, scores)

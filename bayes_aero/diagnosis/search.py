@@ -5,32 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.accuracy import filtered_channels
-from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model, lag_of
+from bayes_aero.diagnosis import selection, selection_state
 from bayes_aero.diagnosis.components import has_chunks, offsets_left
 from bayes_aero.diagnosis.consistency import check_sensors, widened
 from bayes_aero.diagnosis.result import FLIGHT_PATH, FoundTerm, NoiseReport, ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening import lag1_within, screen
-from bayes_aero.diagnosis.selection import (
-    Extension,
-    SelectionStep,
-    between_p_value,
-    nats_gained,
-    plausible,
-    plausible_selection,
-    removed,
-    selected,
-    sized,
-    without_hold,
+from bayes_aero.diagnosis.selection_state import quiet
+from bayes_aero.diagnosis.unexplained import (
+    Forms,
+    Left,
+    described,
+    flown_forms,
+    forms_of,
+    offsets_found,
+    unexplained,
+    withdrawn,
 )
-from bayes_aero.diagnosis.selection_state import SelectionState, linearised, local_fit, moved, optimum, refitted
-from bayes_aero.diagnosis.terms import Forms, described, flown_forms, forms_of
-from bayes_aero.diagnosis.unexplained import Left, offsets_found, unexplained, withdrawn
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.effect import Effect, Stage
@@ -57,8 +52,8 @@ from bayes_aero.residuals.output_error import FilterError, OutputError
 class SearchResult:
     """What a search for missing effects has found, whichever way the model meets the record."""
 
-    full: CandidateModel
-    stages: Mapping[str, Extension]  # extensions by stage, the model's own last
+    full: selection_state.CandidateModel
+    stages: Mapping[str, selection.Extension]  # extensions by stage, the model's own last
     unknown: tuple[UnexplainedStructure, ...]
     noise: NoiseReport
     notes: tuple[str, ...]
@@ -73,12 +68,11 @@ class SearchResult:
         return not self.model.state.responses.freedom
 
     @property
-    def model(self) -> Extension:
+    def model(self) -> selection.Extension:
         return list(self.stages.values())[-1]
 
     @property
-    def sensors(self) -> Extension | None:
-        """The extension of the flight path, by errors of sensors."""
+    def sensors(self) -> selection.Extension | None:
         return self.stages.get(FLIGHT_PATH)
 
     @property
@@ -94,20 +88,18 @@ def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
     return tuple(n for n in required_of(card.axes) if n not in given and any(not record.has(n) for record in records))
 
 
-def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseReport:
+def noise_report(extension: selection.Extension, outliers: Mapping[str, int]) -> NoiseReport:
     """Colour, size, growth and outliers of what the extended model leaves; of coefficients at the recorded rate."""
     state, names = extension.state, extension.state.outputs
+    left, growth = state.left(), np.ones(len(names))
     if state.of_coefficients:
         left = state.responses.predict(state.theta)["residual"][:, : len(names)]
-        blocks, manoeuvre = np.asarray(state.responses.block(left)), state.responses.manoeuvre
-        lag1 = [lag1_within(x, manoeuvre) for x in blocks.T]
-        growth = [float(x) for x in state.noise_growth.max(axis=0)]
+        blocks, growth = np.asarray(state.responses.block(left)), state.noise_growth.max(axis=0)
+        lag1 = [lag1_within(x, state.responses.manoeuvre) for x in blocks.T]
     else:
-        left = state.left(extension.fit)
         lag1 = [float(np.sum(x[1:] * x[:-1]) / np.sum(x**2)) for x in left.T]
-        growth = [1.0] * len(names)
-    deviation = {name: float(x.std()) for name, x in zip(names, left.T, strict=True)}
-    colour, grown = (dict(zip(names, x, strict=True)) for x in (lag1, growth))
+    by_output = [lag1, [float(x.std()) for x in left.T], list(map(float, growth))]
+    colour, deviation, grown = (dict(zip(names, x, strict=True)) for x in by_output)
     return NoiseReport(colour, deviation, grown, dict(outliers), state.responses.white)
 
 
@@ -119,9 +111,9 @@ class Search:
     card: Card
     model: Model
     extra: Sequence[Effect]
-    settings: DiagnosisSettings
+    settings: selection_state.DiagnosisSettings
     seed: int
-    progress: Progress | None = None
+    progress: Progress = quiet
 
     def made(self, *, by_innovations: bool) -> SearchResult:
         """By innovations, or by coefficients where the records have what these need, or by trajectories."""
@@ -132,67 +124,86 @@ class Search:
     def coefficients(self) -> SearchResult:
         """Where coefficients can be formed."""
         flights, outliers = despiked(join(self.records, self.card, required_of(self.model.axes)))
-        full = candidate_model(self.model, flights, self.extra, self.settings)
+        full = selection_state.candidate_model(self.model, flights, self.extra, self.settings)
         mle = fit_mle(self.model, observe(self.records, self.card, self.model), seed=self.seed)
         theta = full.vector(dict(zip(mle.names, mle.estimate, strict=True)))
         responses = EquationError.of(flights, full.model)
-        both = search_in_stages(full, responses, theta, seed=self.seed, progress=self.progress)
+        sensors, model, denied = search_in_stages(full, responses, theta, seed=self.seed, progress=self.progress)
         left, failures = attempted(
-            "Unexplained structure was not sought",
-            lambda: unexplained(both.aerodynamics, seed=self.seed + 2000),
-            Left((), ()),
+            "Unexplained structure was not sought", lambda: unexplained(model, seed=self.seed + 2000), Left()
         )
         forms, failed = attempted(
             "The form of unexplained structure was not sought",
-            lambda: forms_of(both.aerodynamics, left, seed=self.seed + 3000),
+            lambda: forms_of(model, left, seed=self.seed + 3000),
             Forms((), ()),
         )
         notes = []
-        if filtered := filtered_channels(flights):
+        if filtered := selection.filtered_channels(flights):
             notes.append(
                 f"The record shows no white noise of {', '.join(filtered)} (filtered before recording, or none): sizes "
                 "are not corrected for the bias from such noise, and their intervals do not include it."
             )
-        if not has_chunks(both.aerodynamics.state):
+        if not has_chunks(model.state):
             notes.append("Periodic structure was not tested: a manoeuvre is too short to be divided into blocks.")
         notes += [
             f"The flight path alone selects {name}, which can be due to gusts. This correction degrades the fit of the "
             "coefficients by more than the flight path gains, so it is not made."
-            for name in both.denied
+            for name in denied
         ]
         forms = forms._replace(unknown=described(left.unknown, forms))
-        extensions = both.sensors, withdrawn(both.aerodynamics, (*left.replaced, *forms.replaced), forms.sizes)
-        return self._result(full, extensions, forms, outliers, (notes, (*failures, *failed)), left.changes)
+        extensions = sensors, withdrawn(model, (*left.replaced, *forms.replaced), forms.sizes)
+        return self._result(full, extensions, forms, outliers, notes, (*failures, *failed), left.changes)
 
     def _result(
         self,
-        full: CandidateModel,
-        extensions: Sequence[Extension | None],
+        full: selection_state.CandidateModel,
+        extensions: Sequence[selection.Extension | None],
         forms: Forms,
         outliers: Mapping[str, int],
-        notes_and_failures: tuple[Sequence[str], Sequence[str]],
+        notes: Sequence[str],
+        failures: Sequence[str],
         changes: tuple[ParameterChange, ...] = (),
     ) -> SearchResult:
         stages = {x.state.responses.stage: x for x in extensions if x is not None}
         model = list(stages.values())[-1]
-        unknown = (*forms.unknown, *offsets_found(model, forms.idle))
-        notes, failures = map(tuple, notes_and_failures)
-        noise = noise_report(model, outliers)
-        return SearchResult(full, stages, unknown, noise, notes, failures, changes, forms.terms, forms.rivals)
+        unknown, noise = (*forms.unknown, *offsets_found(model, forms.idle)), noise_report(model, outliers)
+        about = tuple(notes), tuple(failures), changes, forms.terms, forms.rivals
+        return SearchResult(full, stages, unknown, noise, *about)
 
     def innovations(self) -> SearchResult:
         """What a filter does not foresee: a gust moves vane and accelerometers together, as no error of a sensor."""
-        if self.progress:
-            self.progress("process noise", 0.0)
+        self.progress("process noise", 0.0)
         flights, outliers = despiked(join(self.records, self.card, FLIGHT))
         base = aircraft_dynamics(self.model, flights)
         # A start is enough. Gusts move a flight away from its simulation by less the shorter that is.
         start = np.array([p.start for p in base.free])
         brief = segments(flights, base, window=FIRST[-1], substeps=base.substeps(start, flights))
         fit = self._inside(fit_output_error(brief, max_iterations=START_STEPS))
-        full = without_lags(candidate_model(self.model, flights, self.extra, self.settings))
-        values = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
-        extension, status = _searched(_Filtered(full, flights, base, fit.R), values, self.seed, self.progress)
+        full = without_lags(selection_state.candidate_model(self.model, flights, self.extra, self.settings))
+        begin = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
+        status = PredictionErrorStatus.CONVERGED
+
+        def select(barred: tuple[str, ...]) -> selection.Extension:
+            """One addition after the other; after each, gusts and noise are estimated anew."""
+            nonlocal status
+            known, active, apart, filtered = begin, (), (), None
+            steps: tuple[selection.SelectionStep, ...] = ()
+            first: selection.Extension | None = None
+            while True:
+                self.progress("process noise", 0.0)
+                state, filtered = filtered_state(full, base, flights, fit.R, known, active, filtered)
+                state = selection_state.moved(state, state.theta, apart=apart)
+                room, seed = min(1, self.settings.max_effects - len(active)), self.seed + len(active)
+                added = selection.selected(state, seed=seed, most=room, progress=self.progress, barred=barred)
+                first, steps, chosen = first or added, (*steps, *added.steps), added.state.active
+                # An addition that another has replaced ends the search: the two would replace each other for ever.
+                if chosen == active or set(active) - set(chosen):
+                    status = filtered.status
+                    return selection.sized(replace(added, base=first.base, steps=steps))
+                known = dict(zip(state.full.model.names, added.state.theta, strict=True))
+                apart, active = added.state.apart, chosen
+
+        extension = selection.plausible(select)
         notes = [
             "Of structure without a name, terms of the library are sought in innovations, and no functions of a "
             "channel or of time."
@@ -210,9 +221,9 @@ class Search:
         flights, outliers = despiked(join(self.records, self.card, FLIGHT))
         base = aircraft_dynamics(self.model, flights)
         fit = self._inside(in_windows(flights, base))
-        whole = candidate_model(self.model, flights, self.extra, self.settings)
+        whole = selection_state.candidate_model(self.model, flights, self.extra, self.settings)
         state = _first_state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
-        extension = plausible_selection(state, seed=self.seed, progress=self.progress)
+        extension = selection.plausible_selection(state, seed=self.seed, progress=self.progress)
         with np.errstate(over="raise", invalid="raise", divide="raise"):  # numbers that overflow are no answer
             lagged, failures = attempted(
                 "Whether the separation point lags was not tested",
@@ -229,14 +240,13 @@ class Search:
         return self._with_terms(lagged or extension, flights, outliers, notes, failures)
 
     def _inside(self, fit: OutputErrorResult) -> OutputErrorResult:
-        """A fit whose simulation stays in the envelope."""
         if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
             raise InputError(f"card {self.card.name}: {fit.status.value}")
         return fit
 
     def _with_terms(
         self,
-        extension: Extension,
+        extension: selection.Extension,
         flights: Flights,
         outliers: Mapping[str, int],
         notes: list[str],
@@ -251,7 +261,7 @@ class Search:
         if still := taken_as_zero(flights):
             notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
         extension = withdrawn(extension, forms.replaced, forms.sizes)
-        return self._result(extension.state.full, [extension], forms, outliers, (notes, (*failures, *failed)))
+        return self._result(extension.state.full, [extension], forms, outliers, notes, (*failures, *failed))
 
 
 # --- The two stages of a diagnosis by coefficients, and what each has to say of the other's finding.
@@ -259,49 +269,39 @@ class Search:
 # not there; then the coefficients, which do not wander, lose far more by the correction than the flight path gains.
 
 
-class Stages(NamedTuple):
-    """Both elections; `sensors` is None without a flight path, `denied` what it named and the coefficients deny."""
-
-    sensors: Extension | None
-    aerodynamics: Extension
-    denied: tuple[str, ...] = ()
-
-
 def search_in_stages(
-    full: CandidateModel,
+    full: selection_state.CandidateModel,
     responses: EquationError,
     theta: Float[np.ndarray, " k"],
     *,
     seed: int,
-    progress: Progress | None = None,
-) -> Stages:
+    progress: Progress = quiet,
+) -> tuple[selection.Extension | None, selection.Extension, tuple[str, ...]]:
     """The flight path first, where it was recorded; the coefficients with sensors corrected; then what these deny."""
 
-    def coefficients(sensors: Extension | None) -> Extension:
-        if progress:
-            progress("coefficients", 0.0)
+    def coefficients(sensors: selection.Extension | None) -> selection.Extension:
+        progress("coefficients", 0.0)
         begin = theta
         if sensors is not None:
-            off = (*sensors.state.full.base, *without_hold(sensors))
+            off = (*sensors.state.full.base, *selection.without_hold(sensors))
             begin = sensors.state.full.at_neutral(sensors.state.theta, off)
-        state = linearised(_after(full, sensors), responses, responses.model.coefficients, begin)
-        extension = plausible_selection(state, seed=seed + 1000, progress=progress)
+        state = selection_state.linearised(_after(full, sensors), responses, responses.model.coefficients, begin)
+        extension = selection.plausible_selection(state, seed=seed + 1000, progress=progress)
         if left := offsets_left(extension.state, seed=seed + 1500):
-            state = moved(state, begin, apart=(*extension.state.apart, *left))
-            extension = plausible_selection(state, seed=seed + 1000, progress=progress)
+            state = selection_state.moved(state, begin, apart=(*extension.state.apart, *left))
+            extension = selection.plausible_selection(state, seed=seed + 1000, progress=progress)
         return extension
 
     path = FlightPathError.of(responses.flights, responses.model)
     if not path.outputs:
-        return Stages(None, coefficients(None))
-    if progress:
-        progress("sensors", 0.0)
+        return None, coefficients(None), ()
+    progress("sensors", 0.0)
     sensors = check_sensors(full, path, theta, seed=seed)
-    aerodynamics, denied = coefficients(sensors), []
+    aerodynamics, denied = coefficients(sensors), list[str]()
     while (name := _denied(sensors, aerodynamics)) is not None:
-        fewer = widened(sensors, *refitted(removed(sensors.state, name)))
+        fewer = widened(sensors, selection_state.refitted(selection.removed(sensors.state, name)))
         other = coefficients(fewer)
-        if nats_gained(aerodynamics, other) < _path_gain(sensors, name) + full.settings.decisive:
+        if selection.nats_gained(aerodynamics, other) < _path_gain(sensors, name) + full.settings.decisive:
             break
         denied, sensors, aerodynamics = [*denied, name], fewer, other
     # Errors that the coefficients named and the flight path feels: it must be judged with them, not beside them.
@@ -315,16 +315,16 @@ def search_in_stages(
         again = check_sensors(full, path, begin, seed=seed, known=known, priors=priors)
         if len(again.state.active) < len(sensors.state.active):  # one of them had stood in for it
             other = coefficients(again)
-            if nats_gained(aerodynamics, other) > -full.settings.decisive:
+            if selection.nats_gained(aerodynamics, other) > -full.settings.decisive:
                 sensors, aerodynamics = again, other
-    return Stages(sensors, aerodynamics, tuple(denied))
+    return sensors, aerodynamics, tuple(denied)
 
 
-def _after(full: CandidateModel, sensors: Extension | None) -> CandidateModel:
+def _after(full: selection_state.CandidateModel, sensors: selection.Extension | None) -> selection_state.CandidateModel:
     """What the coefficients may still add after the flight path, which is the prior of the sensors it did not elect."""
     if sensors is None:
         return replace(full, priors={})
-    taken = {*sensors.state.active, *(n for larger in sensors.larger for n in without_hold(larger))}
+    taken = {*sensors.state.active, *(n for larger in sensors.larger for n in selection.without_hold(larger))}
     priors, own_priors = {}, {p.name: p.prior for p in full.model.free}
     for standing in sensors.steps[-1].screening.candidate_scores if sensors.steps else ():
         for name, step, sd in zip(full.parameters_of(standing.effect), standing.step, standing.sd, strict=False):
@@ -335,16 +335,16 @@ def _after(full: CandidateModel, sensors: Extension | None) -> CandidateModel:
     return replace(full, candidates=tuple(e for e in full.candidates if e.name not in taken), priors=priors)
 
 
-def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
+def _denied(sensors: selection.Extension, aerodynamics: selection.Extension) -> str | None:
     """The sensor error whose correction costs the card's fit of the coefficients most, if it is more than it gains."""
     card = aerodynamics.base
 
     def deviance(without: Sequence[str]) -> float:
         """Of the coefficients under the card's effects alone, these corrections of sensors taken back."""
-        state = moved(card, card.full.at_neutral(card.theta, without))
+        state = selection_state.moved(card, card.full.at_neutral(card.theta, without))
         columns, folds = state.columns(), range(len(state.folds))
-        best = optimum(state, folds)
-        return local_fit(state, best, columns[columns < len(best)], folds)[1]
+        best = selection_state.optimum(state, folds)
+        return selection_state.local_fit(state, best, columns[columns < len(best)], folds)[1]
 
     whole = deviance(())
     losses = {e: nats(whole - deviance((e,)), card.variance_inflation) for e in sensors.state.active}
@@ -352,9 +352,9 @@ def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
     return worst if worst and losses[worst] > _path_gain(sensors, worst) + card.settings.decisive else None
 
 
-def _path_gain(sensors: Extension, name: str) -> float:
+def _path_gain(sensors: selection.Extension, name: str) -> float:
     """What the flight path gains by an error of a sensor, nats, its colour counted."""
-    own = screen(sensors.state, sensors.fit, without=name).of(name)
+    own = screen(sensors.state, without=name).of(name)
     return math.inf if own is None else nats(max(own.gain, 0.0), own.variance_inflation)
 
 
@@ -364,69 +364,33 @@ FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: be
 START_STEPS = 8  # of output error, from which the filter begins: its last ones settle what the filter moves again
 
 
-class _Filtered(NamedTuple):
-    """What is searched: candidates, flights, the card's dynamics, and the variances of output error."""
-
-    full: CandidateModel
-    flights: Flights
-    base: AircraftDynamics
-    R: Float[np.ndarray, " c"]
-
-    def state(
-        self,
-        known: Mapping[str, float],
-        active: tuple[str, ...],
-        before: PredictionErrorResult | None,
-        progress: Progress | None,
-    ) -> tuple[SelectionState, PredictionErrorResult]:
-        """The filter's fit with these additions, from the one `before`, and the problem linearised there."""
-        if progress:
-            progress("process noise", 0.0)
-        full, names = self.full, self.full.model.names
-        out = {p.name for e in full.model.effects if e.name not in (*full.base, *active) for p in e.parameters}
-        held = tuple((name, full.neutral[name]) for name in names if name in out)
-        dynamics = replace(self.base, model=replace(full.model, fixed=(*full.model.fixed, *held)))
-        start = np.array([known[name] for name in names if name not in out])
-        whole = segments(self.flights, dynamics, substeps=dynamics.substeps(start, self.flights))
-        gusty, filtered = fit_disturbed(whole, start, self.R, exact=False, similar=before)
-        if filtered.status is PredictionErrorStatus.DIVERGED:
-            raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
-        # The gusts' parameters are no candidate's, so that they stay what the filter found of them.
-        gusty_dynamics: Any = gusty.dynamics
-        gusts = [e for e in gusty_dynamics.model.effects if e.disturbance is not None and e not in full.model.effects]
-        full = replace(full, model=full.model.extended(*gusts))
-        theta = full.vector(dict(zip(filtered.names, filtered.estimate, strict=True)))
-        dynamics = replace(self.base, model=full.model)
-        responses = FilterError.after(gusty, filtered.estimate, filtered.R, filtered.found, dynamics)
-        return linearised(full, responses, responses.outputs, theta, active), filtered
-
-
-def _searched(
-    flown: _Filtered, begin: Mapping[str, float], seed: int, progress: Progress | None
-) -> tuple[Extension, PredictionErrorStatus]:
-    """One plausible addition after the other; after each, gusts and noise are estimated anew."""
-    statuses: list[PredictionErrorStatus] = []
-
-    def select(barred: tuple[str, ...]) -> Extension:
-        known, active, apart = begin, (), ()
-        steps: tuple[SelectionStep, ...] = ()
-        first: Extension | None = None
-        filtered: PredictionErrorResult | None = None
-        while True:
-            state, filtered = flown.state(known, active, filtered, progress)
-            state = moved(state, state.theta, apart=apart)
-            room = min(1, flown.full.settings.max_effects - len(active))
-            added = selected(state, seed=seed + len(active), most=room, progress=progress, barred=barred)
-            first, steps = first or added, (*steps, *added.steps)
-            chosen = added.state.active
-            # An addition that another one has replaced ends the search: the two would replace each other for ever.
-            if chosen == active or set(active) - set(chosen):
-                statuses.append(filtered.status)
-                return sized(replace(added, base=first.base, base_fit=first.base_fit, steps=steps))
-            known = dict(zip(state.full.model.names, added.state.theta, strict=True))
-            apart, active = added.state.apart, chosen
-
-    return plausible(select), statuses[-1]
+def filtered_state(
+    full: selection_state.CandidateModel,
+    base: AircraftDynamics,
+    flights: Flights,
+    R: Float[np.ndarray, " c"],
+    known: Mapping[str, float],
+    active: tuple[str, ...],
+    before: PredictionErrorResult | None,
+) -> tuple[selection_state.SelectionState, PredictionErrorResult]:
+    """The filter's fit with these additions, from the one `before`, and the problem there; `R`: of output error."""
+    names = full.model.names
+    out = {p.name for e in full.model.effects if e.name not in (*full.base, *active) for p in e.parameters}
+    held = tuple((name, full.neutral[name]) for name in names if name in out)
+    dynamics = replace(base, model=replace(full.model, fixed=(*full.model.fixed, *held)))
+    start = np.array([known[name] for name in names if name not in out])
+    whole = segments(flights, dynamics, substeps=dynamics.substeps(start, flights))
+    gusty, filtered = fit_disturbed(whole, start, R, exact=False, similar=before)
+    if filtered.status is PredictionErrorStatus.DIVERGED:
+        raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
+    # The gusts' parameters are no candidate's, so that they stay what the filter found of them.
+    gusty_dynamics: Any = gusty.dynamics
+    gusts = [e for e in gusty_dynamics.model.effects if e.disturbance is not None and e not in full.model.effects]
+    full = replace(full, model=full.model.extended(*gusts))
+    theta = full.vector(dict(zip(filtered.names, filtered.estimate, strict=True)))
+    dynamics = replace(base, model=full.model)
+    responses = FilterError.after(gusty, filtered.estimate, filtered.R, filtered.found, dynamics)
+    return selection_state.linearised(full, responses, responses.outputs, theta, active), filtered
 
 
 def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:
@@ -443,50 +407,47 @@ def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResul
 
 
 def _first_state(
-    full: CandidateModel,
+    full: selection_state.CandidateModel,
     flights: Flights,
     base: AircraftDynamics,
     values: Mapping[str, float],
-    active: tuple[str, ...] = (),
-) -> SelectionState:
+    *active: str,
+) -> selection_state.SelectionState:
     """The problem linearised where these parameters have these values and all others are neutral."""
-    theta = full.vector(values)
-    dynamics = replace(base, model=full.model)
+    theta, dynamics = full.vector(values), replace(base, model=full.model)
     responses = OutputError.of(flights, dynamics, dynamics.substeps(theta, flights))
-    return linearised(full, responses, responses.outputs, theta, active)
+    return selection_state.linearised(full, responses, responses.outputs, theta, active)
 
 
 def _with_lag(
-    whole: CandidateModel,
-    extension: Extension,
+    whole: selection_state.CandidateModel,
+    extension: selection.Extension,
     flights: Flights,
     dynamics: AircraftDynamics,
     seed: int,
-    progress: Progress | None,
-) -> Extension | None:
+    progress: Progress,
+) -> selection.Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
-    lag = lag_of(whole)
+    lag, base, settings = selection_state.lag_of(whole), extension.base, whole.settings
     if lag is None or not extension.state.active:
         return None
-    if progress:
-        progress("lag of the separation point", 0.0)
-    base = extension.base
+    progress("lag of the separation point", 0.0)
     values = dict(zip(base.full.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
-    state, fit = refitted(_first_state(whole, flights, dynamics, values, (lag.name,)))
-    among = extension.steps[0].screening
-    gain = nats(extension.base_fit.deviance - fit.deviance, extension.base.variance_inflation)
-    settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)
+    state = selection_state.refitted(_first_state(whole, flights, dynamics, values, lag.name))
+    screening = extension.steps[0].screening
+    gain = nats(base.best.deviance - state.best.deviance, base.variance_inflation)
+    among = len(screening.candidate_scores) + 1
+    chance = selection.between_p_value(state, lag.name, among)
     if not (gain > settings.decisive and chance <= settings.block_false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise
-    other = plausible_selection(state, seed=seed, most=settings.max_effects - 1, progress=progress)
-    if lag.name not in other.state.active or nats_gained(extension, other) <= settings.decisive:
+    other = selection.plausible_selection(state, seed=seed, most=settings.max_effects - 1, progress=progress)
+    if lag.name not in other.state.active or selection.nats_gained(extension, other) <= settings.decisive:
         return None
-    p = between_p_value(other.state, other.fit, lag.name, len(among.candidate_scores) + 1)
-    step = SelectionStep(lag.name, p, among, np.nan)
-    return replace(other, base=base, base_fit=extension.base_fit, steps=(step, *other.steps))
+    step = selection.SelectionStep(lag.name, selection.between_p_value(other.state, lag.name, among), screening)
+    return replace(other, base=base, steps=(step, *other.steps))
 
 
-def without_lags(full: CandidateModel) -> CandidateModel:
+def without_lags(full: selection_state.CandidateModel) -> selection_state.CandidateModel:
     """Without effects that need a state of their own."""
     lags = [e for e in full.candidates if e.stage is Stage.LAG]
     neutral = [pair for e in lags for pair in e.neutral_values.items()]

@@ -6,50 +6,56 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
+from scipy.optimize import linprog
 
-from bayes_aero.diagnosis.accuracy import addition_gain, implausible, largest_noise_bias, sizes, truncated
-from bayes_aero.diagnosis.result import Absorbed, CancellingPair, Size
+from bayes_aero.diagnosis.result import Absorbed, CancellingPair, Confirmation, Size
 from bayes_aero.diagnosis.screening import (
     CandidateScore,
     PartialledRegression,
-    RefitScore,
     ScreeningResult,
     SharedNoise,
     jackknife_errors,
     jackknife_p_value,
     log_bayes,
     noise_growth_of,
-    null_scores,
+    refit_p_value,
     screen,
     uncertainty,
 )
 from bayes_aero.diagnosis.selection_state import (
-    RegressionFit,
+    DEFAULT,
+    DiagnosisSettings,
+    Products,
     SelectionState,
-    constant_of,
+    by_manoeuvre,
     inverse,
+    local_fit,
     moved,
+    optimum,
+    quiet,
     refitted,
 )
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.inference.covariance import median_inflation, nats
+from bayes_aero.flight.health import noise_of
+from bayes_aero.inference.covariance import log_density, log_score_gain, log_score_gains, median_inflation, nats
+from bayes_aero.inference.results import Scores, score
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
 from bayes_aero.progress import Progress
 
 OF_NOISE = 0.5  # largest share of an addition that noise may make: beyond, it would take over its regressor's own slope
 
 
-@dataclass(frozen=True)
-class SelectionStep:
-    """One election: the screening, the chosen effect (None: nobody), its p-value, and its gain on folds left out."""
+class SelectionStep(NamedTuple):
+    """One election: the screening, the chosen effect (None: nobody), and its p-value."""
 
     chosen: str | None
     p_value: float
     screening: ScreeningResult
-    unseen: float
 
 
 @dataclass(frozen=True)
@@ -57,9 +63,7 @@ class Extension:
     """The state before and after additions, with fits and elections."""
 
     base: SelectionState
-    base_fit: RegressionFit
     state: SelectionState
-    fit: RegressionFit
     steps: tuple[SelectionStep, ...]
     sizes: Mapping[str, Size] = field(default_factory=dict)  # of what is in
     causes: tuple[str, ...] = ()  # additions worth a name (see `worth`)
@@ -74,26 +78,7 @@ class Extension:
 
     @property
     def larger(self) -> tuple[Extension, ...]:
-        """Every `too_large` extension, the last first."""
         return () if self.too_large is None else (self.too_large, *self.too_large.larger)
-
-
-Checked = Callable[[SelectionState, RegressionFit], tuple[SelectionState, RegressionFit]]
-
-
-def forward_selection(
-    state: SelectionState,
-    *,
-    seed: int = 0,
-    progress: Progress | None = None,
-    most: int | None = None,
-    checked: Checked = lambda state, fit: (state, fit),
-    barred: Sequence[str] = (),
-) -> Extension:
-    """Add effects to `state` until none is both beyond chance and useful on data left out, and size them."""
-    extension = selected(state, seed=seed, most=most, progress=progress, barred=barred)
-    after, fit = checked(extension.state, extension.fit)
-    return sized(replace(extension, state=after, fit=fit))
 
 
 def plausible(
@@ -111,11 +96,9 @@ def plausible(
         barred, before = (*barred, *out(extension)), extension
 
 
-def plausible_selection(
-    state: SelectionState, *, seed: int = 0, progress: Progress | None = None, most: int | None = None
-) -> Extension:
-    """`forward_selection` of what is no larger than aircraft have."""
-    return plausible(lambda barred: forward_selection(state, seed=seed, progress=progress, most=most, barred=barred))
+def plausible_selection(state: SelectionState, **options: Any) -> Extension:
+    """Effects added as by `selected`, sized, and no larger than aircraft have."""
+    return plausible(lambda barred: sized(selected(state, barred=barred, **options)))
 
 
 def selected(
@@ -123,48 +106,46 @@ def selected(
     *,
     seed: int = 0,
     most: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
     barred: Sequence[str] = (),
 ) -> Extension:
     """Add at most `most` effects (default: the settings') that are not `barred`; p-values are family-wise."""
     most = state.settings.max_effects if most is None else most
-    state, fit = refitted(state)
-    inflations = [s.variance_inflation for s in screen(state, fit).candidate_scores]
-    noise_growth, inflation = noise_growth_of(state, fit), median_inflation(np.array(inflations))
-    state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=inflation), state.theta))
-    first, first_fit = state, fit
+    state = refitted(state)
+    inflation = median_inflation(np.array([s.variance_inflation for s in screen(state).candidate_scores]))
+    state = replace(state, noise_growth=noise_growth_of(state), variance_inflation=inflation)
+    first = state = refitted(moved(state, state.theta))
     steps: list[SelectionStep] = []
     noisy: tuple[str, ...] = ()
     for number in range(most + state.settings.candidates_tried):
         if len(state.active) - len(first.active) >= most:
             break
-        if progress:
-            progress("causes", len(state.active) / max(most, 1))
+        progress("causes", len(state.active) / max(most, 1))
         winner, standing_in = None, ("",)
         while standing_in:
-            step = _election(state, fit, seed + number, (*barred, *noisy), first=number == 0)
+            step = _election(state, seed + number, (*barred, *noisy), first=number == 0)
             winner = None if step.chosen is None else step.screening.of(step.chosen)
-            standing_in = () if winner is None else _offsets_instead(state, fit, winner)
+            standing_in = () if winner is None else _offsets_instead(state, winner)
             if standing_in:
-                state, fit = refitted(moved(state, state.theta, apart=(*state.apart, *standing_in)))
+                state = refitted(moved(state, state.theta, apart=(*state.apart, *standing_in)))
         steps.append(step)
         if winner is None:
             break
-        wider, wider_fit = refitted(added(state, winner))
-        if noise_shares(wider, wider_fit)[winner.effect] > OF_NOISE:
-            noisy, steps[-1] = (*noisy, winner.effect), replace(step, chosen=None)
+        wider = refitted(added(state, winner))
+        if noise_shares(wider)[winner.effect] > OF_NOISE:
+            noisy, steps[-1] = (*noisy, winner.effect), step._replace(chosen=None)
             continue
-        state, fit = _reconsidered(wider, wider_fit, barred)
+        state = _reconsidered(wider, barred)
         noisy = ()  # with less left, noise can make less
     for name in state.apart:  # offsets between manoeuvres that explain nothing beside what was added after them
-        fewer, less = refitted(moved(state, state.theta, apart=tuple(n for n in state.apart if n != name)))
-        gained = nats(less.deviance - fit.deviance, state.variance_inflation) - len(state.folds) + 1
+        fewer = refitted(moved(state, state.theta, apart=tuple(n for n in state.apart if n != name)))
+        gained = nats(fewer.best.deviance - state.best.deviance, state.variance_inflation) - len(state.folds) + 1
         if gained < state.settings.ambiguous:
-            state, fit = fewer, less
-    return Extension(first, first_fit, state, fit, tuple(steps))
+            state = fewer
+    return Extension(first, state, tuple(steps))
 
 
-def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: CandidateScore) -> tuple[str, ...]:
+def _offsets_instead(state: SelectionState, winner: CandidateScore) -> tuple[str, ...]:
     """Coefficients whose offsets between manoeuvres stand in for an addition."""
     # What differs between manoeuvres alone (a trim, a flap, the throttle) explains any offset that is left there. So an
     # addition must be identified within manoeuvres, with the same sign, and offsets must not be decisively better.
@@ -174,35 +155,34 @@ def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: Candidat
     else:  # in flight all whose constant the card has; none along the flight path
         card = {p for e in state.full.base for p in state.full.parameters_of(e)} & set(state.full.model.names)
         coefficients = () if state.responses.kinematic else state.responses.model.coefficients
-        reached = [n for n in coefficients if constant_of(n) in card]
+        reached = [n for n in coefficients if f"{n}0" in card]
     outputs = tuple(n for n in reached if n not in state.apart)
     count = len(state.responses.flights.lengths)
     if count == 1 or not outputs:
         return ()
     wider = moved(state, state.theta, apart=(*state.apart, *outputs))
-    there = wider.fit()
-    within = screen(wider, there).of(winner.effect)
+    within = screen(wider).of(winner.effect)
     identified = within is not None and within.score >= state.settings.least_score and within.log_bayes > 0.0
     if within is None or not identified or float(np.dot(within.step, winner.step)) <= 0.0:
         return outputs
-    better = nats(fit.deviance - there.deviance - winner.gain, winner.variance_inflation)
+    better = nats(state.best.deviance - wider.best.deviance - winner.gain, winner.variance_inflation)
     return outputs if better - (count - 1) * len(outputs) > state.settings.decisive else ()
 
 
 def sized(extension: Extension) -> Extension:
     """What was added, with sizes, and which of it are causes."""
-    state, fit = extension.state, extension.fit
-    names, errors = state.full.model.names, jackknife_errors(state, fit, state.responses.stretch)
-    least = {names[c]: float(x) for c, x in zip(fit.columns, errors, strict=True) if c < len(names)}
-    estimates = {name: replace(size, sd=max(size.sd, least[name])) for name, size in sizes(state, fit).items()}
-    causes, minor = worth(state, fit, estimates)
+    state, names = extension.state, extension.state.full.model.names
+    errors = jackknife_errors(state, state.responses.stretch)
+    least = {names[c]: float(x) for c, x in zip(state.best.columns, errors, strict=True) if c < len(names)}
+    estimates = {name: replace(size, sd=max(size.sd, least[name])) for name, size in sizes(state).items()}
+    causes, minor = worth(state, estimates)
     return replace(extension, sizes=estimates, causes=causes, minor=minor)
 
 
-def noise_shares(state: SelectionState, fit: RegressionFit) -> dict[str, float]:
+def noise_shares(state: SelectionState) -> dict[str, float]:
     """Largest share of each addition that noise of the recorded channels can make, by effect."""
     # Noise in a regressor makes of whatever moves with it a second recording of the same.
-    bias, away = largest_noise_bias(state, fit), dict(zip(state.full.model.names, state.departure, strict=True))
+    bias, away = largest_noise_bias(state), dict(zip(state.full.model.names, state.departure, strict=True))
     shares = {}
     for effect in state.active:
         names = [n for n in state.full.parameters_of(effect) if n in bias]
@@ -211,61 +191,49 @@ def noise_shares(state: SelectionState, fit: RegressionFit) -> dict[str, float]:
     return shares
 
 
-def _election(
-    state: SelectionState, fit: RegressionFit, seed: int, barred: Sequence[str], first: bool
-) -> SelectionStep:
+def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bool) -> SelectionStep:
     """The most explaining candidate, not `barred`, that is beyond chance, matters, and predicts folds left out."""
-    settings = state.settings
-    noise = SharedNoise(seed, state.folds, len(state.outputs), settings)
-    screening = screen(state, fit, seed=seed, nulls=first, noise=noise)
-    able: list[tuple[CandidateScore, float]] = []
-    seen = set(barred)
-    for standing in screening.candidate_scores:
-        if standing.effect in seen:
-            continue
-        seen.add(standing.effect)
-        if len(seen) > settings.candidates_tried + len(barred):
-            break
+    settings, noise = state.settings, SharedNoise(seed, state.folds, len(state.outputs), state.settings)
+    ranking, able = screen(state, nulls=first, noise=noise), list[CandidateScore]()
+    leaders: dict[str, CandidateScore] = {}
+    for standing in (s for s in ranking.candidate_scores if s.effect not in barred):
+        leaders.setdefault(standing.effect, standing)
+    for standing in list(leaders.values())[: settings.candidates_tried]:
         if explained(state, standing) < state.least_share(settings.least_share) or mixes_noise(state, standing):
             continue
-        gain = addition_gain(state, state.wider(standing.columns))
-        if not gain > 0.0:
+        if not addition_gain(state, state.wider(standing.columns)) > 0.0:
             continue
-        able.append((standing, gain))
+        able.append(standing)
         if standing.score < settings.least_score or standing.log_bayes <= 0.0:
             continue
-        if not len(screening.nulls):
-            projected = PartialledRegression(state, fit, [b[1] for b in state.blocks if b[0] not in state.active])
-            screening = replace(screening, nulls=null_scores(state, fit, projected, screening.colour, noise))
-        p = screening.p_value(standing.score)
-        if p <= settings.false_alarm_rate:
-            return SelectionStep(standing.effect, p, screening, gain)
-    if state.responses.freedom:  # no stationary colour holds, with a leader in or out
-        for standing, gain in able[: settings.candidates_refitted]:
-            wider = refitted(added(state, standing))
-            p = between_p_value(*wider, standing.effect, len(screening.candidate_scores))
-            if p <= settings.refit_false_alarm_rate:
-                return SelectionStep(standing.effect, p, screening, gain)
-        able = []
-    for standing, gain in able:
-        look = RefitScore(state, standing, noise)
-        if look.score < settings.least_score or look.log_bayes <= 0.0:
-            continue
-        if (p := look.p_value()) <= settings.false_alarm_rate:
-            return SelectionStep(standing.effect, p, screening, gain)
-    highest = max((s.score for s in screening.candidate_scores if s.effect not in barred), default=0.0)
-    p = screening.p_value(highest) if len(screening.nulls) else math.nan
-    return SelectionStep(None, p, screening, math.nan)
+        if not len(ranking.nulls):
+            projected = PartialledRegression(
+                state, state.best, [b[1] for b in state.blocks if b[0] not in state.active]
+            )
+            ranking = replace(ranking, nulls=projected.nulls(ranking.colour, noise.replicates))
+        if (p := ranking.p_value(standing.score)) <= settings.false_alarm_rate:
+            return SelectionStep(standing.effect, p, ranking)
+    among, alone = len(ranking.candidate_scores), not state.responses.freedom
+    for standing in able if alone else able[: settings.candidates_refitted]:
+        if alone:
+            p, limit = refit_p_value(state, standing, noise), settings.false_alarm_rate
+        else:  # no stationary colour holds, with a leader in or out
+            p = between_p_value(refitted(added(state, standing)), standing.effect, among)
+            limit = settings.refit_false_alarm_rate
+        if p <= limit:
+            return SelectionStep(standing.effect, p, ranking)
+    highest = max((s.score for s in ranking.candidate_scores if s.effect not in barred), default=0.0)
+    return SelectionStep(None, ranking.p_value(highest) if len(ranking.nulls) else math.nan, ranking)
 
 
-def between_p_value(wider: SelectionState, fit: RegressionFit, effect: str, among: int) -> float:
+def between_p_value(wider: SelectionState, effect: str, among: int) -> float:
     """p-value of an addition by how far it moves without each stretch, Bonferroni over `among` candidates."""
     # It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
     # then seem to disagree more than they do.
     columns = wider.full.own_columns(effect)
-    if not np.all(np.isin(columns, fit.columns)):
+    if not np.all(np.isin(columns, wider.best.columns)):
         return 1.0
-    return jackknife_p_value(wider, fit, columns, wider.departure[columns], among)
+    return jackknife_p_value(wider, wider.best, columns, wider.departure[columns], among)
 
 
 def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
@@ -300,63 +268,55 @@ def removed(state: SelectionState, effect: str) -> SelectionState:
     return truncated(state, [e for e in state.active if e != effect])
 
 
-def _reconsidered(
-    state: SelectionState, fit: RegressionFit, barred: Sequence[str]
-) -> tuple[SelectionState, RegressionFit]:
+def _reconsidered(state: SelectionState, barred: Sequence[str]) -> SelectionState:
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
     least = state.least_share(state.settings.least_share)
+
+    def bayes_within(own: CandidateScore) -> float:
+        """Log Bayes factor of an addition under the colour that is left with it in."""
+        columns = state.full.own_columns(own.effect)
+        away = state.departure[columns]
+        if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, state.best.columns))):
+            return own.log_bayes
+        at, precision = state.best.places(columns), state.precision[columns] / state.variance_inflation
+        return log_bayes(away, uncertainty(state)[np.ix_(at, at)], state.mean[columns] + away, precision)
+
     for effect in state.active[:-1]:
-        ranking = screen(state, fit, without=effect)
+        ranking = screen(state, without=effect)
         own = ranking.of(effect)
         able = (s for s in ranking.candidate_scores if s.effect not in barred and not mixes_noise(state, s))
         best = next(able, ranking.candidate_scores[0])
-        faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
+        faint = own is not None and own.log_bayes < 0.0 and bayes_within(own) < 0.0
         if own is None or faint or explained(state, own) < least or mixes_noise(state, own):
-            state, fit = refitted(removed(state, effect))
+            state = refitted(removed(state, effect))
         elif best.effect != effect:
             more = best.gain - (1.0 + state.settings.exchange_margin) * own.gain
             if nats(more, best.variance_inflation_apart) > 1.0:
-                other, other_fit = refitted(added(removed(state, effect), best))
-                if noise_shares(other, other_fit)[best.effect] <= OF_NOISE:
-                    state, fit = other, other_fit
-    return state, fit
+                other = refitted(added(removed(state, effect), best))
+                state = other if noise_shares(other)[best.effect] <= OF_NOISE else state
+    return state
 
 
-def _bayes_within(state: SelectionState, fit: RegressionFit, own: CandidateScore) -> float:
-    """Log Bayes factor of an addition under the colour that is left with it in."""
-    columns = state.full.own_columns(own.effect)
-    away = state.departure[columns]
-    if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
-        return own.log_bayes
-    at = fit.places(columns)
-    covariance = uncertainty(state, fit)[np.ix_(at, at)]
-    return log_bayes(away, covariance, state.mean[columns] + away, state.precision[columns] / state.variance_inflation)
-
-
-def worth(
-    state: SelectionState, fit: RegressionFit, estimates: Mapping[str, Size]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def worth(state: SelectionState, estimates: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Additions large enough to be worth modelling, and nuisances: small, uncertain, or perhaps noise."""
-    added = {e.name: e for e in state.full.candidates if e.name in state.active}
-
-    def least_away(parameter: Parameter, bias: tuple[float, float]) -> tuple[float, float]:
-        """How far a parameter is from neutral with whichever bias brings it nearest, and its deviation."""
-        size = estimates[parameter.name]
-        ends = [parameter.away(size.mean - b, size.sd) for b in (*bias, 0.0)]
-        passes = min(away for away, _ in ends) * max(away for away, _ in ends) <= 0.0
-        nearest = min(ends, key=lambda end: abs(end[0]))
-        return (0.0, nearest[1]) if passes else nearest
+    added = [e for name in state.active for e in state.full.candidates if e.name == name]
 
     def large_ones(bias: Mapping[str, tuple[float, float]]) -> list[str]:
+        """Those far from neutral with whichever bias brings them nearest."""
         chosen = []
-        for name in state.active:
-            sized = [p for p in added[name].parameters if p.name in added[name].sizes and p.name in estimates]
-            away = {p.name: least_away(p, bias.get(p.name, (0.0, 0.0))) for p in sized}
-            if large(added[name], away, state.settings.least_score):
-                chosen.append(name)
+        for effect in added:
+            away = {}
+            for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in estimates):
+                size = estimates[p.name]
+                ends = [p.away(size.mean - b, size.sd) for b in (*bias.get(p.name, ()), 0.0)]
+                passes = min(x for x, _ in ends) * max(x for x, _ in ends) <= 0.0
+                x, sd = min(ends, key=lambda end: abs(end[0]))
+                away[p.name] = (0.0 if passes else x), sd
+            if large(effect, away, state.settings.least_score):
+                chosen.append(effect.name)
         return chosen
 
-    causes = large_ones(largest_noise_bias(state, fit)) if large_ones({}) else []
+    causes = large_ones(largest_noise_bias(state)) if large_ones({}) else []
     return tuple(causes), tuple(name for name in state.active if name not in causes)
 
 
@@ -369,11 +329,11 @@ def large(effect: Effect, away: Mapping[str, tuple[float, float]], least_score: 
 def nats_gained(old: Extension, new: Extension) -> float:
     """Log likelihood that another extension gains, the colour counted, less what the choice of each addition costs."""
 
-    def deviance(state: SelectionState, fit: RegressionFit) -> float:
-        return fit.deviance + 2.0 * float(np.sum(np.log(state.noise_growth[state.inside])))
+    def deviance(state: SelectionState) -> float:
+        return state.best.deviance + 2.0 * float(np.sum(np.log(state.noise_growth[state.inside])))
 
     additions = len(new.state.active) - len(old.state.active)
-    gained = deviance(old.state, old.fit) - deviance(new.state, new.fit)
+    gained = deviance(old.state) - deviance(new.state)
     choice = math.log(max(len(new.state.full.candidates), 1))
     return nats(gained, max(old.state.variance_inflation, new.state.variance_inflation)) - additions * choice
 
@@ -392,7 +352,7 @@ AT_REST = 0.1  # of a sensitivity's root mean square, its deviation within the m
 def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
     """Parameters of the card that may have taken up an effect large enough for a name."""
     # It is seen with the parameter held, and not seen with it free within its prior.
-    state, fit, parameters = extension.state, extension.fit, []
+    state, parameters = extension.state, []
     if not state.of_coefficients:
         return ()
     for effect in (e for e in state.full.model.effects if e.name in state.full.base):
@@ -400,9 +360,9 @@ def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
         free = [p for p in effect.parameters if p.name in state.full.model.names and len(controls) == 1]
         for parameter, column in ((p, int(state.full.columns([p.name])[0])) for p in free):
             S = state.S[state.inside][:, :, column]  # what it acts through stays in all manoeuvres, and not at zero
-            square, moved = float(np.sum(S**2)), float(np.sum((S - S.mean(axis=0)) ** 2))
-            at_rest = square > 0.0 and moved < AT_REST**2 * square
-            if column in fit.columns and at_rest and (sizes := _taken_up(extension, column)):
+            square, varied = float(np.sum(S**2)), float(np.sum((S - S.mean(axis=0)) ** 2))
+            at_rest = square > 0.0 and varied < AT_REST**2 * square
+            if column in state.best.columns and at_rest and (sizes := _taken_up(extension, column)):
                 name, usual = parameter.name, state.full.priors.get(parameter.name, parameter.prior).normal
                 estimate = float(state.theta[column]), extension.sizes[name].sd
                 parameters.append(Absorbed(effect.name, name, parameter.unit, controls[0], estimate, usual, sizes))
@@ -411,45 +371,37 @@ def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
 
 def _taken_up(extension: Extension, column: int) -> dict[str, Size]:
     """Sizes of the candidates that the parameter of a column hides, by name."""
-    state, fit = extension.state, extension.fit
+    state, fit, scale = extension.state, extension.state.best, extension.state.settings.least_score
     fewer, hidden = fit.columns[fit.columns != column], {}
+    S, weight = state.scaled[state.inside], 1.0 / fit.variance
 
     def deviations(at: int, size: float, columns: Int[np.ndarray, " k"]) -> float:
         """By how many an effect of this size is seen, `columns` free within their priors."""
-        A, weight = state.scaled[state.inside][:, :, columns], 1.0 / fit.variance
-        signal = size * state.scaled[state.inside][:, :, at]
+        A, signal = S[:, :, columns], size * S[:, :, at]
         normal = np.einsum("mci,c,mcj->ij", A, weight, A, optimize=True) + np.diag(state.precision[columns])
         right = np.einsum("mci,c,mc->i", A, weight, signal, optimize=True)
         information = float(np.einsum("mc,c,mc->", signal, weight, signal) - right @ inverse(normal) @ right)
         return float(np.sqrt(max(information, 0.0) / state.variance_inflation))
 
-    scanned = {scan.effect for scan in state.scans}
+    def size_of(at: int) -> tuple[float, float]:
+        """Of a candidate and its deviation, the parameter of `column` held where its prior has it."""
+        columns, away = np.append(fewer, at), float(state.mean[column])
+        given = columns, state.mean, state.precision, fit.variance
+        there = state.products.shifted(np.array([column]), np.array([away])).fit(*given)
+        here = state.products.fit(*given)
+        slope = (there.step[-1] - here.step[-1]) / away if away else 0.0
+        variance = inverse(there.normal)[-1, -1] + slope**2 / state.precision[column]
+        return float(there.step[-1]), float(np.sqrt(state.variance_inflation * variance))
+
     for effect in state.full.candidates:  # those of one parameter, with a slope at neutral, and a size worth a name
-        if len(effect.parameters) != 1 or effect.name in (*state.active, *scanned):
-            continue
-        (parameter,) = effect.parameters
-        if parameter.name not in effect.sizes:
-            continue
-        (at,) = state.full.own_columns(effect.name)
-        least, largest = effect.sizes[parameter.name]
-        if not deviations(at, least, fit.columns) < state.settings.least_score <= deviations(at, least, fewer):
-            continue
-        mean, sd = _size(extension, column, int(at), fewer)
-        if least <= abs(mean) <= largest:
-            hidden[effect.name] = Size(mean, sd, parameter.unit)
+        out = {*state.active, *(scan.effect for scan in state.scans)}
+        if len(effect.parameters) == 1 and effect.name not in out and effect.parameters[0].name in effect.sizes:
+            (at,), (least, largest) = state.full.own_columns(effect.name), effect.sizes[effect.parameters[0].name]
+            if deviations(at, least, fit.columns) < scale <= deviations(at, least, fewer):
+                mean, sd = size_of(int(at))
+                if least <= abs(mean) <= largest:
+                    hidden[effect.name] = Size(mean, sd, effect.parameters[0].unit)
     return hidden
-
-
-def _size(extension: Extension, column: int, at: int, fewer: Int[np.ndarray, " k"]) -> tuple[float, float]:
-    """Size of a candidate and its deviation, the parameter of `column` held where its prior has it."""
-    state, columns = extension.state, np.append(fewer, at)
-    away = float(state.mean[column])
-    products = state.products.shifted(np.array([column]), np.array([away]))
-    fit = products.fit(columns, state.mean, state.precision, held=extension.fit.variance)
-    here = state.products.fit(columns, state.mean, state.precision, held=extension.fit.variance)
-    slope = (fit.step[-1] - here.step[-1]) / away if away else 0.0
-    variance = inverse(fit.normal)[-1, -1] + slope**2 / state.precision[column]
-    return float(fit.step[-1]), float(np.sqrt(state.variance_inflation * variance))
 
 
 # --- Two named terms that cancel: what the record knows of them is one combination, not either.
@@ -463,9 +415,9 @@ def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingP
     for effects, names, C in _correlated_parameters(extension, causes):
         i, j = map(int, state.full.columns(names))
         weight = 1.0 / np.mean(state.residual[state.inside] ** 2, axis=0)
-        moved = [state.scaled[state.inside][:, :, c] * state.departure[c] for c in (i, j)]
-        moved = [x - x.mean(axis=0) for x in moved]
-        one, other, both = (float(np.sum(weight * x**2)) for x in (*moved, moved[0] + moved[1]))
+        shifts = [state.scaled[state.inside][:, :, c] * state.departure[c] for c in (i, j)]
+        shifts = [x - x.mean(axis=0) for x in shifts]
+        one, other, both = (float(np.sum(weight * x**2)) for x in (*shifts, shifts[0] + shifts[1]))
         if both >= min(one, other):  # what they do to the outputs, means aside, is less together than either alone
             continue
         units = [state.full.model.free[c].unit for c in (i, j)]
@@ -479,7 +431,6 @@ def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingP
 
 
 def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Additions whose estimates are correlated, each with its partners and the correlation: no size holds alone."""
     partners: dict[str, dict[str, float]] = {}
     for (one, other), _, C in _correlated_parameters(extension, effects):
         partners.setdefault(one, {})[other] = partners.setdefault(other, {})[one] = _correlation(C)
@@ -489,20 +440,17 @@ def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[s
 def without_hold(extension: Extension) -> dict[str, Mapping[str, float]]:
     """Additions that are no error by themselves: too large, at a bound, or estimated together with such a one."""
     state, joint = extension.state, correlated(extension, extension.state.active)
-    out = {n for n in state.active if any(extension.sizes[p].at_bound for p in state.full.parameters_of(n))}
-    out |= set(extension.implausible)
+    bounded = [n for n in state.active if any(extension.sizes[p].at_bound for p in state.full.parameters_of(n))]
+    out = {*bounded, *extension.implausible}
     return {n: joint.get(n, {}) for n in state.active if n in out or out & set(joint.get(n, {}))}
 
 
-def _correlated_parameters(
-    extension: Extension, effects: Sequence[str]
-) -> Iterator[tuple[tuple[str, str], tuple[str, str], np.ndarray]]:
+def _correlated_parameters(extension: Extension, effects: Sequence[str]) -> Iterator[tuple]:
     """Pairs of effects, one parameter of each, and the covariance of these two where they are correlated."""
-    state, fit = extension.state, extension.fit
+    state = extension.state
     if len(effects) < 2:
         return
-    covariance = uncertainty(state, fit)
-    at = {int(c): k for k, c in enumerate(fit.columns)}
+    covariance, at = uncertainty(state), {int(c): k for k, c in enumerate(state.best.columns)}
     for one, other in combinations(effects, 2):
         for a, b in product(state.full.parameters_of(one), state.full.parameters_of(other)):
             places = [at[c] for c in map(int, state.full.columns([a, b])) if c in at]
@@ -513,3 +461,337 @@ def _correlated_parameters(
 
 def _correlation(C: np.ndarray) -> float:
     return float(C[0, 1] / np.sqrt(C[0, 0] * C[1, 1]))
+
+
+# --- How far estimates may be off: the residuals' colour, and the noise of what the regressors were recorded with.
+# What effects act through is recorded with noise, then smoothed and differentiated. Least squares on such regressors is
+# not consistent, and its residuals do not show it. Noise of the size that is there already, added once more, moves the
+# estimates by about as much as the noise that is there has moved them: the bias grows with the noise's variance.
+# Source: simulation extrapolation (SIMEX), Cook and Stefanski 1994, J. Am. Stat. Assoc. 89, 1314.
+
+PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
+REGRESSORS = ("alpha", "airspeed", "q", "elevator")
+AT_BOUND = 1e-6  # of a parameter's value, within which it lies on a bound: fits stop 1e-9 short
+SLOW = 100.0  # largest variance of slow noise over that of the white noise beside it: ten times its size; our choice
+FILTERED = -0.5  # lag-1 correlation of third differences above which they are not white noise's
+
+
+def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
+    """Parameters (1/e for one of infinite neutral value) with an estimate beyond the largest plausible size; that."""
+    exceeded = {}
+    for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in sizes):
+        largest = effect.sizes[p.name][1]
+        if abs(p.away(sizes[p.name].mean, sizes[p.name].sd)[0]) > largest:
+            exceeded[p.name if math.isfinite(p.neutral) else f"1/{p.name}"] = largest
+    return exceeded
+
+
+def implausible_candidate(effect: Effect, standing: CandidateScore) -> bool:
+    """Whether a candidate would be `implausible` at its first-order estimate, or at the value at which it was tried."""
+    if standing.value is None:
+        values = {p.name: p.neutral + x for p, x in zip(effect.parameters, standing.step, strict=False)}
+    else:
+        values = {next(name for name, tried in effect.scan.items() if standing.value in tried): standing.value}
+    return bool(implausible(effect, {n: Size(x, 0.0, "") for n, x in values.items() if math.isfinite(x)}))
+
+
+def recording_noise(flights: Flights) -> dict[str, float]:
+    return {name: noise_of(*by_manoeuvre(np.asarray(flights.channels[name]), flights)) for name in flights.recorded}
+
+
+def filtered_channels(flights: Flights) -> tuple[str, ...]:
+    """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off."""
+    # Third differences of white noise have a lag-1 correlation of -0.75; what is filtered, or motion, has not.
+    filtered = []
+    for name in (name for name in REGRESSORS if name in flights.recorded):
+        rough = np.concatenate([np.diff(part, 3) for part in by_manoeuvre(np.asarray(flights.channels[name]), flights)])
+        limit = 5.0 * np.median(np.abs(rough))
+        inside = np.clip(rough, -limit, limit)
+        if limit > 0.0 and np.corrcoef(inside[1:], inside[:-1])[0, 1] > FILTERED:
+            filtered.append(name)
+    return tuple(filtered)
+
+
+def noise_effect(state: SelectionState) -> tuple[Float[np.ndarray, " k"], ...]:
+    """What recording noise does to each estimate of a fit at its optimum: its bias, and its standard deviation."""
+    flights, rng, fit = state.responses.flights, np.random.default_rng(0), state.best
+    noise, parameters = recording_noise(flights), fit.columns < len(state.theta)
+    at = fit.columns[parameters]
+
+    def step(extra: Mapping[str, np.ndarray], sign: float = 1.0) -> np.ndarray:
+        """The Gauss-Newton step from the optimum with more noise."""
+        channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
+        there = replace(state, responses=state.responses.with_channels(channels))
+        # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
+        return local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0].step[: len(at)]
+
+    drawn = ({name: sd * rng.standard_normal(flights.n) for name, sd in noise.items()} for _ in range(PAIRS))
+    there, back = np.array([(step(extra), step(extra, -1.0)) for extra in drawn]).transpose(1, 0, 2)
+    bias, spread = np.zeros((2, len(fit.columns)))
+    bias[parameters] = np.mean((there + back) / 2.0, axis=0) - step({})
+    spread[parameters] = np.sqrt(np.mean(((there - back) / 2.0) ** 2, axis=0))
+    return bias, spread
+
+
+def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
+    """Lowest and highest bias of each addition's parameters by recording noise of any size that residuals permit."""
+    # It is linear in the channels' variances, which sum up to no more than is left of an output; noise may be `SLOW`
+    # times what is read off as white. Source: Klepper and Leamer, Econometrica 52 (1984) 163.
+    flights, rng, fit = state.responses.flights, np.random.default_rng(1), state.best
+    parameters = fit.columns < len(state.theta)
+    at, additions = fit.columns[parameters], state.full.own_columns(*state.active)
+    covariance = inverse(fit.normal)[np.isin(fit.columns, additions)]
+    keep = state.kept_outputs
+    S, weight = state.scaled[state.inside][:, :, fit.columns], 1.0 / fit.variance
+    biases, added = [], []
+    for name, sd in recording_noise(flights).items():
+        channel = flights.channels[name]
+        if not sd > 0.0:
+            continue
+        noisy = flights.channels | {name: channel + sd * rng.standard_normal(flights.n)}
+        residual, slopes = state.responses.with_channels(noisy).linearise(state.theta, at)
+        dr = ((residual[:, keep] - state.residual) / state.noise_growth)[state.inside]
+        dS = np.zeros_like(S)
+        dS[:, :, parameters] = (slopes[:, keep] / state.noise_growth[:, :, None])[state.inside] - S[:, :, parameters]
+        added.append(np.mean(dr**2, axis=0) * weight)
+        biases.append(covariance @ np.einsum("mck,mc,c->k", dS, dr, weight))
+    if not np.any(added):
+        return {}
+    scale = np.maximum(np.max(added, axis=1), 1e-12)  # a channel that adds to no output has no bias either
+    limits = np.array(added).T / scale
+    most = [(0.0, min(1.0, SLOW * float(x))) for x in scale]
+
+    def least(row: Float[np.ndarray, " f"]) -> float:
+        """Least of row x with limits x <= 1 and x within `most`; without the limits where the solver fails."""
+        size = float(np.max(np.abs(row)))
+        if size == 0.0:
+            return 0.0
+        value = linprog(row / size, limits, np.ones(len(limits)), bounds=most).fun
+        return float(size * value) if value is not None else float(np.minimum(row, 0.0) @ np.array(most)[:, 1])
+
+    names = [state.full.model.names[column] for column in fit.columns[np.isin(fit.columns, additions)]]
+    return {name: (least(row), -least(-row)) for name, row in zip(names, np.array(biases).T / scale, strict=True)}
+
+
+def normal_draws(
+    mean: Float[np.ndarray, " k"],
+    columns: Int[np.ndarray, " j"],
+    covariance: Float[np.ndarray, "j j"],
+    parameters: Sequence[Parameter],
+    seed: int,
+    count: int,
+) -> Float[np.ndarray, "r k"]:
+    """Parameters drawn from the normal distribution of estimates, `columns` of which vary, within their bounds."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    white = np.random.default_rng(seed).standard_normal((count, len(columns)))
+    draws = np.tile(mean, (count, 1))
+    draws[:, columns] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
+    lower, upper = np.array([p.bounds for p in parameters], float).reshape(-1, 2).T
+    return np.clip(draws, np.minimum(lower, mean), np.maximum(upper, mean))
+
+
+def sizes(state: SelectionState) -> dict[str, Size]:
+    """Every active parameter with its deviation: what coloured residuals leave, what recording noise makes of it."""
+    # Recording noise that is integrated along the flight path wanders, and the fit follows it, so the residuals may
+    # show less of it than there is: the larger of both deviations counts. The mean is the estimate without its bias,
+    # which is itself known to first order only: it counts as a deviation, too.
+    variance = np.maximum(np.diag(uncertainty(state)), 0.0)
+    bias, spread = noise_effect(state)
+    deviation = np.sqrt(np.maximum(variance, spread**2) + bias**2)
+    estimates, free = {}, state.full.model.free
+    for c, shift, sd in zip(state.best.columns, bias, deviation, strict=True):
+        if c < len(free):
+            mean, (low, high) = state.theta[c], free[c].bounds
+            at_bound = min(abs(mean - low), abs(mean - high)) < AT_BOUND * abs(mean)
+            mean = float(np.clip(mean - shift, low, high))
+            estimates[free[c].name] = Size(mean, float(sd), free[c].unit, bool(at_bound))
+    return estimates
+
+
+# --- What an extension gains on data that it was not fitted to, however the model meets the record.
+
+
+def split_name(state: SelectionState) -> str:
+    return "manoeuvre" if len(state.responses.flights.lengths) > 1 else "block"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Residuals of every fold (or flown segment) with parameters fitted to the others."""
+
+    residual: Float[np.ndarray, "m c"]
+    noise_growth: Float[np.ndarray, "m c"]
+    inside: Bool[np.ndarray, " m"]  # rows that belong to a fold
+    names: tuple[str, ...]  # of the outputs
+    lengths: Sequence[int]  # rows of each part that is independent of the others
+    variance_inflation: float
+    by_output: bool = True  # False along the flight path: of its errors the coefficients say what they make worse
+    flyable: bool = True  # whether a simulation stays in the envelope
+
+    @classmethod
+    def refitted(cls, state: SelectionState) -> LeftOut:
+        """With the effects that are in, every fit brought to its own optimum."""
+        steps = state.settings.hold_out_steps
+        residual = state.responses.holdout(state.folds, lambda others: optimum(state, others, steps), state.outputs)
+        return cls._of(state, residual)
+
+    @classmethod
+    def first_order(cls, state: SelectionState, effects: Sequence[str]) -> LeftOut:
+        """With only `effects` of those that are in, from the sensitivities: a hundredth of the time of `refitted`."""
+        fewer = state.without([e for e in state.active if e not in effects])
+        residual, columns = fewer.residual.copy(), fewer.columns()
+        parameters = ~np.isin(columns, state.offsets)
+        for number, fold in enumerate(state.folds):
+            step = fewer.products.without(number).fit(columns, fewer.mean, fewer.precision).step
+            residual[fold] -= state.S[fold][:, :, columns[parameters]] @ step[parameters]
+        return cls._of(state, residual)
+
+    @classmethod
+    def _of(cls, state: SelectionState, residual: Float[np.ndarray, "m c"]) -> LeftOut:
+        residual, offsets = np.where(state.inside[:, None], residual, 0.0), state.S[:, :, state.offsets]
+        if offsets.shape[2]:  # where a flight-path integral began is the left-out fold's own to find
+            residual -= offsets @ (np.einsum("mco,mc->o", offsets, residual) / np.sum(offsets**2, axis=(0, 1)))
+        lengths = [fold.stop - fold.start for fold in state.folds]
+        if len(state.responses.flights.lengths) == 1:  # blocks of one flight, one after the other: their colour runs on
+            lengths = [sum(lengths)]
+        growth, inflation, by_output = state.noise_growth, state.variance_inflation, not state.responses.kinematic
+        return cls(residual, growth, state.inside, state.outputs, lengths, inflation, by_output)
+
+    def densities(self) -> Float[np.ndarray, "m c"]:
+        """Log predictive density of every row by output: independent and normal."""
+        # With the variance that the left-out residuals themselves have: the variance of the fitted ones would punish a
+        # model for the other manoeuvre's stall, whatever its mean.
+        residual, noise_growth = self.residual[self.inside], self.noise_growth[self.inside]
+        return log_density(residual, np.mean((residual / noise_growth) ** 2, axis=0) * noise_growth**2)
+
+    def gain(self, before: LeftOut) -> tuple[float, float]:
+        densities = before.densities().sum(axis=1), self.densities().sum(axis=1)
+        return log_score_gain(*densities, self.variance_inflation, self.lengths)
+
+    def output_gains(self, before: LeftOut) -> dict[str, tuple[float, float]]:
+        """`gain` of each output by itself; empty where that says nothing."""
+        if not (self.by_output and before.flyable):
+            return {}
+        densities = before.densities(), self.densities()
+        return log_score_gains(self.names, *densities, self.variance_inflation, self.lengths)
+
+    def scores(self, measured: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
+        """Scores of each coefficient over everything left out, against what was recorded (blocks of about 5 Hz)."""
+        return scores_of(self.names, measured[self.inside], self.residual[self.inside])
+
+
+def scores_of(names: Sequence[str], z: Float[np.ndarray, "m c"], e: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
+    return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(names)}
+
+
+def measured_blocks(state: SelectionState) -> Float[np.ndarray, "m c"]:
+    """Coefficients as the card reconstructs them from the record, averaged over blocks."""
+    card = state.full.card_only(state.theta)
+    return np.asarray(state.responses.block(state.responses.predict(card)["measured"]))
+
+
+def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:
+    """The state with only `effects` of its additions in, the others' parameters at neutral."""
+    theta = state.full.at_neutral(state.theta, [e for e in state.active if e not in effects])
+    return moved(state, theta, tuple(effects))
+
+
+def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.ndarray | None = None) -> float:
+    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on folds that were left out."""
+
+    def deviance(columns: np.ndarray) -> float:
+        """n log(mean square) over folds and outputs; the offsets are each fold's own."""
+        used = np.unique(np.concatenate([columns, state.offsets]))
+        products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
+        columns, offsets = (np.searchsorted(used, own) for own in (columns, state.offsets))
+        parameters, flat, total = ~np.isin(columns, offsets), np.zeros(len(used)), 0.0
+        for fold in range(len(state.folds)):
+            step = products.without(fold).fit(columns, mean, precision).step
+            left = products.over([fold]).shifted(columns[parameters], step[parameters])
+            if len(offsets):
+                total += left.fit(offsets, flat, flat).deviance
+            else:
+                n = float(left.count.sum())
+                total += float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
+        return total
+
+    return deviance(state.columns() if narrow is None else narrow) - deviance(wide)
+
+
+def addition_gain(state: SelectionState, wide: np.ndarray) -> float:
+    """Deviance that additions `wide` gain on folds that were left out, where unlike manoeuvres predict each other."""
+    gain, card = holdout_deviance_gain(state, wide), state.columns(())
+    of_card = np.any(card < len(state.theta))  # sensors along the flight path have no such parameters
+    if gain > 0.0 or not of_card or len(state.responses.flights.lengths) < 2:
+        return gain
+    used = np.unique(np.concatenate([wide, state.columns(), card]))
+    everything, active, card = (np.searchsorted(used, columns) for columns in (wide, state.columns(), card))
+    of = state.products.only(used), (state.mean[used], state.precision[used]), state.variance_inflation
+    deviances = [
+        [integrated_deviance(*of, fold, c, card) for c in (active, everything)] for fold in range(len(state.folds))
+    ]
+    return float(np.sum([without - within for without, within in deviances]))
+
+
+def integrated_deviance(
+    products: Products, prior: tuple, inflation: float, fold: int, columns: np.ndarray, card: np.ndarray
+) -> float:
+    """Deviance of a fold by these columns, those beyond the card's integrated out over their posterior elsewhere."""
+    others, at = products.without(fold).fit(columns, *prior), np.flatnonzero(~np.isin(columns, card))
+    precision_elsewhere = 1.0 / np.diag(inverse(others.normal))[at]
+    mean, precision = (x.copy() for x in prior)
+    mean[columns[at]], precision[columns[at]] = others.step[at], precision_elsewhere
+    posterior = products.over([fold]).fit(columns, mean, precision)
+    narrowed = 1.0 / np.diag(inverse(posterior.normal))[at] / precision_elsewhere
+    return posterior.deviance + inflation * float(np.sum(np.log(np.maximum(narrowed, 1.0))))
+
+
+# --- Which additions unseen data confirm.
+# An election asks only that a candidate gains at all on data left out, and adds one after the other. Taken together
+# some are superfluous, and what is superfluous harms elsewhere: a delay that fits one manoeuvre's noise spoils the
+# simulation of the next. So additions are taken out again one at a time, the least useful first, as long as unseen
+# data do not miss them, or an output is predicted worse with them than without.
+
+
+Predicted = Callable[[Sequence[str]], LeftOut]  # unseen data as the model with some of its additions predicts them
+
+
+def backward_elimination(
+    additions: Sequence[str], first_order: Predicted, refitted: Predicted, settings: DiagnosisSettings = DEFAULT
+) -> Confirmation:
+    """Each addition in turn, least missed to first order first, is taken out and everything fitted again. What stays is
+    missed by `settings.hold_out` standard errors of its log density and degrades no output."""
+
+    def gain(without: LeftOut, whole: LeftOut) -> tuple[float, float]:
+        return whole.gain(without) if without.flyable else (np.inf, 0.0)
+
+    plain, kept, missed, waiting = settings.hold_out_first_order, list(additions), {}, list(additions)
+    harmed: dict[str, Mapping[str, tuple[float, float]]] = {}
+    whole: LeftOut | None = None
+    while waiting:
+        less = {e: [other for other in kept if other != e] for e in waiting}
+        near, fewer = first_order(kept), {e: first_order(less[e]) for e in waiting}
+        losses = {e: gain(fewer[e], near) for e in waiting}
+        harmful = [e for e in waiting if settings.degraded(near.output_gains(fewer[e]))]
+        least = min(harmful or waiting, key=lambda e: losses[e][0] - plain * losses[e][1])
+        if not harmful and losses[least][0] > plain * losses[least][1]:
+            missed |= losses
+            break
+        whole, without = whole or refitted(kept), refitted(less[least])
+        missed[least] = gain(without, whole)
+        worse = settings.degraded(whole.output_gains(without))
+        if worse or not missed[least][0] > settings.hold_out * missed[least][1]:
+            kept, whole = less[least], without
+            harmed |= {least: worse} if worse else {}
+        waiting.remove(least)
+    return Confirmation(tuple(kept), {e: missed[e] for e in additions}, harmed)
+
+
+def confirmation(state: SelectionState) -> Confirmation:
+    return backward_elimination(
+        state.active,
+        lambda effects: LeftOut.first_order(state, effects),
+        lambda effects: LeftOut.refitted(truncated(state, effects)),
+        state.settings,
+    )

@@ -1,5 +1,5 @@
-"""Structure that no effect of the catalogue explains but that a recorded channel, a period or the change of a parameter
-does.
+"""Structure that no effect of the catalogue explains but that a recorded channel, a period, a parameter that changes or
+terms of a library do.
 
 A smooth function of each channel, a sinusoid, or the change, is a candidate like an effect. It is taken for real
 only if its score is beyond noise-only replicates and it predicts data left out.
@@ -7,430 +7,101 @@ only if its score is beyond noise-only replicates and it predicts data left out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc
 
-from bayes_aero.diagnosis.accuracy import holdout_deviance_gain, recording_noise
-from bayes_aero.diagnosis.candidate_set import DiagnosisSettings, manoeuvres
-from bayes_aero.diagnosis.components import Trial, families, in_batches, parts_of, term_of
-from bayes_aero.diagnosis.result import ParameterChange, Size, UnexplainedStructure
-from bayes_aero.diagnosis.screening import (
-    Autocorrelation,
-    ScreeningResult,
-    SharedNoise,
-    autocorrelation_of,
-    autocorrelations_of,
-    chance_of,
-    inflation_along,
-    noise_records,
-    screen,
-    unbiased,
-    uncertainty,
+from bayes_aero.diagnosis import screening
+from bayes_aero.diagnosis.components import (
+    SAME,
+    SEPARATED,
+    FoundChange,
+    FoundComponent,
+    TermColumn,
+    Trial,
+    columns_of,
+    families,
+    holdout_gain_of,
+    in_batches,
+    likeness,
+    parts_of,
+    polynomials,
+    reported_change,
+    sought_change,
+    term_of,
+    testable,
 )
-from bayes_aero.diagnosis.selection import Extension, removed
+from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm, Size, UnexplainedStructure
+from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed, truncated
 from bayes_aero.diagnosis.selection_state import (
-    TINY,
     Component,
+    DiagnosisSettings,
     Products,
     RegressionFit,
     SelectionState,
     inverse,
     moved,
     optimum,
+    quiet,
+    refitted,
 )
-from bayes_aero.effect import Kind, Stage
-from bayes_aero.inference.covariance import ORDER, nats
+from bayes_aero.effect import Kind
+from bayes_aero.inference.covariance import nats
+from bayes_aero.progress import Progress
 
-# --- A parameter of the model that takes another value during the records: is there one beyond chance, and where.
-# The largest gain over all parameters and moments is compared with that in noise-only replicates, which make the same
-# choice. Then the change must explain enough and predict parts of the manoeuvres that it was not fitted to.
 
-
-@dataclass(frozen=True)
-class FoundComponent:
-    """A component that is taken for real, and the state in which it was found."""
-
-    state: SelectionState
-    component: Component
-    share: float
-    p_value: float
-
-
-@dataclass(frozen=True)
-class FoundChange(FoundComponent):
-    """A change of a parameter that is beyond chance, with what it was judged by."""
-
-    at: tuple[int, int]  # its place in the scan (span, parameter)
-    unit: float  # what a step of one is of the component
-    scan: ChangeScan
-    residual: Float[np.ndarray, "m c"]
-    folds: tuple[slice, ...]
-    colour: Autocorrelation
-    gain: float  # deviance that it takes away
-    gained: float  # deviance of the parts left out
-
-    @property
-    def span(self) -> Span:
-        return self.scan.over[self.at[0]]
-
-    @property
-    def column(self) -> int:
-        return int(self.scan.columns[self.at[1]])
-
-
-def sought_change(
-    state: SelectionState, chosen: Sequence[Component], *, seed: int, least: float = 0.0
-) -> FoundChange | None:
-    """The change that explains most beside the `chosen` components, if it predicts left-out parts beyond `least`."""
-    settings, alone = state.settings, len(state.responses.flights.lengths) == 1
-    first = _promising(state, chosen, least) if testable(state) else None
-    if first is None:
-        return None
-    state = _beside(state, [*chosen, first[0]])
-    folds = manoeuvres(state.responses.manoeuvre)
-    whole = state.with_components((), chosen, folds)
-    wider = Trial(state, first[0], chosen, folds).fit
-    # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
-    held = whole.fit_columns(whole.columns(), held=wider.variance)
-    scan, residual = ChangeScan(whole, held, first[1].columns, first[1].over, first[1].noise), whole.left(held)
-    at = _leader(scan, scan.estimates(residual))[0]
-    component, unit = _change(state, scan, at)
-    trial, gained = Trial(state, component, chosen, folds), holdout_gain_of(state, component, chosen)
-    enough = trial.share >= (settings.single_share if alone else settings.change_share) and gained > least
-    if not enough or _by_noise(trial, scan, at, unit):
-        return None
-    colour, p = _p_value(whole, held, scan, trial.state.left(trial.fit), seed)
-    if p > settings.change_false_alarm_rate:
-        return None
-    gain = whole.fit().deviance - trial.fit.deviance
-    return FoundChange(state, component, trial.share, p, at, unit, scan, residual, folds, colour, gain, gained)
-
-
-def testable(state: SelectionState) -> bool:
-    """Whether the state is of coefficients that are modelled, and every manoeuvre long enough to be divided."""
-    parts = parts_of(state, state.settings.change_parts)
-    long = all(part.stop - part.start > ORDER for part in parts)
-    return state.of_coefficients and long and bool(len(_free(state)) and _over(state))
-
-
-def _promising(state: SelectionState, chosen: Sequence[Component], least: float) -> tuple[Component, ChangeScan] | None:
-    """The change that explains most to first order, if that is worth another look."""
-    folds = manoeuvres(state.responses.manoeuvre)
-    whole = state if not chosen and folds == state.folds else state.with_components((), chosen, folds)
-    fit, columns = whole.fit(), _free(state)
-    # What noise of the recorded size adds to the sensitivities, scaled as those are. Added once more it adds as much as
-    # the noise that is there already, as in `accuracy.noise_effect`.
-    flights, rng = state.responses.flights, np.random.default_rng(0)
-    added = {n: sd * rng.standard_normal(flights.n) for n, sd in recording_noise(flights).items()}
-    noisy = flights.channels | {name: flights.channels[name] + x for name, x in added.items()}
-    slopes = state.responses.with_channels(noisy).linearise(state.theta, columns)[1][:, state.kept_outputs]
-    noise = slopes / state.noise_growth[:, :, None] - state.scaled[:, :, columns]
-    scan = ChangeScan(whole, fit, columns, _over(state), noise)
-    leader, gain = _leader(scan, scan.estimates(whole.left(fit)))
-    if gain < state.settings.least_share * len(state.residual):
-        return None
-    component, _ = _change(state, scan, leader)
-    return (component, scan) if holdout_gain_of(state, component, chosen) > least else None
-
-
-def _by_noise(trial: Trial, scan: ChangeScan, place: tuple[int, int], unit: float) -> bool:
-    """Whether one value, made too small by noise on either side of the change, explains it."""
-    # To first order a share s of noise takes s of a value away; what lies between a value and that with twice as much
-    # given back may be its truth.
-    column = int(scan.columns[place[1]])
-    (at,) = trial.fit.places([column])
-    elsewhere = float(trial.state.theta[column] + trial.fit.step[at])
-    values = elsewhere + unit * float(trial.fit.step[-1]), elsewhere
-    shares = scan.noise_shares[:, place[0], place[1]]
-    least, most = np.sort([np.array([x, x / max(1.0 - 2.0 * s, TINY)]) for x, s in zip(values, shares, strict=True)]).T
-    return bool(np.max(least) <= np.min(most))
-
-
-def _beside(state: SelectionState, components: Sequence[Component]) -> SelectionState:
-    """The state at the optimum of all active parameters, these components free beside them."""
-    place = len(state.theta) + state.nuisance
-    columns = np.concatenate([c.basis for c in components], axis=2)
-    S = np.concatenate([state.S[:, :, :place], columns, state.S[:, :, place:]], axis=2)
-    mean, precision = (np.insert(x, [place] * columns.shape[2], 0.0) for x in (state.mean, state.precision))
-    nuisance = state.nuisance + columns.shape[2]
-    wide = replace(state, S=S, mean=mean, precision=precision, nuisance=nuisance)
-    return moved(state, optimum(wide, range(len(state.folds))))
-
-
-def holdout_gain_of(state: SelectionState, component: Component, chosen: Sequence[Component]) -> float:
-    """Deviance that a component gains on parts of the manoeuvres that were left out, each predicted from the others."""
-    return Trial(state, component, chosen, parts_of(state, state.settings.change_parts)).gain
-
-
-def _free(state: SelectionState) -> Int[np.ndarray, " p"]:
-    moved = [e for e in state.full.model.effects if e.kind is Kind.AERODYNAMICS and e.stage > Stage.INFLOW]
-    own, names = {p for e in moved for p in state.full.parameters_of(e.name)}, state.full.model.names
-    return np.array([c for c in state.columns() if c < len(names) and names[c] in own], int)
-
-
-def _over(state: SelectionState) -> list[Span]:
-    least = max(1, round(state.settings.change_least / state.responses.seconds))
-    return spans(state.responses.manoeuvre, least, state.settings.change_begins)
-
-
-def _leader(scan: ChangeScan, estimates: Float[np.ndarray, "n p"]) -> tuple[tuple[int, int], float]:
-    gains = scan.gains(estimates)
-    span, parameter = np.unravel_index(int(np.argmax(gains)), gains.shape)
-    return (int(span), int(parameter)), float(gains[span, parameter])
-
-
-def _change(state: SelectionState, scan: ChangeScan, at: tuple[int, int]) -> tuple[Component, float]:
-    """What a change adds, about as large as the residuals, and its size."""
-    span, column = scan.over[at[0]], int(scan.columns[at[1]])
-    basis = np.zeros((*state.residual.shape, 1))
-    basis[span.begin : span.end, :, 0] = state.S[span.begin : span.end, :, column]
-    unit = 1.0 / float(np.sqrt(np.max(np.mean(basis**2, axis=0))))
-    return Component(state.full.model.names[column], f"blocks from {span.begin}", unit * basis), unit
-
-
-def _p_value(
-    state: SelectionState, fit: RegressionFit, scan: ChangeScan, left: Float[np.ndarray, "m c"], seed: int
-) -> tuple[Autocorrelation, float]:
-    """The colour of the noise that is `left` with the change in, and how often noise alone shows as much of one."""
-    noise = SharedNoise(seed, state.folds, left.shape[1], state.settings)
-
-    def without_leader(residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
-        estimates = scan.estimates(residual)
-        leader, _ = _leader(scan, estimates)
-        return residual - scan.explained(*leader, float(estimates[leader]))
-
-    def statistic(residual: Float[np.ndarray, "m c"]) -> float:
-        """Deviance that the leader takes away over what it leaves."""
-        gain = _leader(scan, scan.estimates(residual))[1]
-        return gain / (float(np.sum(residual**2 * scan.weight)) - gain)
-
-    # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
-    first = autocorrelation_of(left, state.folds)
-    again = np.array([without_leader(record) for record in noise_records(state, fit, first, noise.correction)])
-    colour = unbiased(first, autocorrelations_of(again, state.folds))
-    nulls = np.array([statistic(record) for record in noise_records(state, fit, colour, noise.replicates)])
-    return colour, chance_of(statistic(state.left(fit)), nulls)
-
-
-# --- Every moment at which a parameter may take another value, all parameters at once, from cumulated products.
-# The direction of a change is the parameter's sensitivity from that moment on, the free parameters of the model
-# projected out. Inner products of such directions are differences of sums over time, so a record of minutes costs
-# milliseconds.
-# What a parameter acts through is recorded with noise, which makes its value too small: where a slope is attenuated
-# by noise alone, the parameter has not changed.
-
-NOTHING = 1e-9  # of the information of the whole parameter, below which a change of it moves nothing
-NOISY = 0.5  # share of noise beyond which a value is that of noise
-
-
-class Span(NamedTuple):
-    """Blocks over which a parameter has another value, [begin, end); `manoeuvre` is the number of that of the first."""
-
-    manoeuvre: int
-    begin: int
-    end: int
-
-
-def spans(manoeuvre: Int[np.ndarray, " m"], least: int, most: int) -> list[Span]:
-    """From a block on, to the end of its manoeuvre or of all later ones; `least` blocks at either end are undivided."""
-    count, m = int(manoeuvre[-1]) + 1, len(manoeuvre)
-    changes = []
-    for k in range(count):
-        own = np.flatnonzero(manoeuvre == k)
-        first, last = int(own[0]), int(own[-1]) + 1
-        begins = [*([first] if k else []), *range(first + least, last - least + 1, -(-m // most))]
-        # The records may be of one flight, where a change lasts, or of several, where it does not.
-        ends = {m} if k == count - 1 else {last, m}
-        changes += [Span(k, begin, end) for begin in begins for end in sorted(ends)]
-    return changes
-
-
-class ChangeScan:
-    """Directions of the changes of p parameters over each of n spans; recording noise adds `noise` to sensitivities."""
-
-    def __init__(
-        self,
-        state: SelectionState,
-        fit: RegressionFit,
-        columns: Int[np.ndarray, " p"],
-        over: Sequence[Span],
-        noise: Float[np.ndarray, "m c p"],
-    ) -> None:
-        self.columns, self.over, self.noise, self.weight = columns, over, noise, 1.0 / fit.variance
-        self._S, self._B = state.scaled[:, :, columns], state.scaled[:, :, fit.columns]
-        self._begin, self._end = (np.array([getattr(span, side) for span in over]) for side in ("begin", "end"))
-        self._weighed = self._S * self.weight[:, None]
-        own = self._summed(np.sum(self._S * self._weighed, axis=1))
-        cross = self._summed(np.matmul(np.moveaxis(self._weighed, 1, 2), self._B))
-        self._shares = cross @ inverse(fit.normal)  # n p k
-        information = own - np.sum(self._shares * cross, axis=2)
-        whole = np.sum(self._S * self._weighed, axis=(0, 1))
-        self.noise_shares = self._noise_shares(fit, own, cross)
-        noisy = np.any(self.noise_shares > NOISY, axis=0)
-        self._idle = noisy | (information <= NOTHING * whole)  # what the model can do as well
-        self.information = np.where(self._idle, 1.0, information)
-
-    def _noise_shares(
-        self, fit: RegressionFit, own: Float[np.ndarray, "n p"], cross: Float[np.ndarray, "n p k"]
-    ) -> Float[np.ndarray, "2 n p"]:
-        """Share of noise in what tells the value of each parameter within each span, and in what tells it elsewhere."""
-
-        def form(x: Float[np.ndarray, "n k"], y: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
-            return np.sum((x @ others) * y, axis=1)
-
-        added = np.einsum("mcp,c->mp", self.noise**2, self.weight)
-        within = self._summed(added)
-        noise = np.stack([within, np.sum(added, axis=0) - within])
-        # By it least squares makes that value too small. All other parameters have one value, fitted beside both.
-        whole = np.sum(self._S * self._weighed, axis=(0, 1))
-        shared, shares = inverse(fit.normal), np.zeros_like(noise)
-        for p, column in enumerate(self.columns):
-            (at,) = fit.places([column])
-            others = shared - np.outer(shared[:, at], shared[at]) / shared[at, at]  # without the parameter itself
-            total = np.einsum("mc,mck->k", self._weighed[:, :, p], self._B)
-            inside, outside = cross[:, p], total - cross[:, p]
-            a, b = own[:, p] - form(inside, inside), whole[p] - own[:, p] - form(outside, outside)
-            c = -form(inside, outside)
-            information = np.stack([a - c**2 / np.maximum(b, TINY), b - c**2 / np.maximum(a, TINY)])
-            shares[:, :, p] = noise[:, :, p] / np.maximum(information, TINY)
-        return shares
-
-    def _summed(self, x: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
-        total = np.concatenate([np.zeros((1, *x.shape[1:])), np.cumsum(x, axis=0)])
-        return total[self._end] - total[self._begin]
-
-    def estimates(self, residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "n p"]:
-        """First-order estimate of each change; zero where it moves nothing that the model cannot."""
-        weighed = residual * self.weight
-        beside = self._shares @ np.einsum("mck,mc->k", self._B, weighed)
-        right = self._summed(np.einsum("mcp,mc->mp", self._S, weighed)) - beside
-        return np.where(self._idle, 0.0, right / self.information)
-
-    def gains(self, estimates: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n p"]:
-        return estimates**2 * self.information
-
-    def explained(self, span: int, parameter: int, estimate: float) -> Float[np.ndarray, "m c"]:
-        """What a change of this size takes away of the residual, scaled as that is."""
-        explained = -self._B @ self._shares[span, parameter]
-        here = slice(self._begin[span], self._end[span])
-        explained[here] += self._S[here, :, parameter]
-        return estimate * explained
-
-
-# --- What is reported of a change: the parameter before and after, when, and what else explains as much.
-
-NEAREST = 200  # moments that are compared with the best one, those that explain most
-
-
-def reported_change(
-    state: SelectionState, change: FoundChange, chosen: Sequence[Component], election: ScreeningResult | None
-) -> ParameterChange:
-    """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
-    span = change.span
-    begin = int(np.argmax(state.responses.manoeuvre == span.manoeuvre))
-    before, after, size = _sizes(state, change, chosen)
-    nearest, rivals, inflation = _as_good(state, change)
-    seconds, parameter = state.responses.seconds, state.full.model.free[change.column]  # a block is as fine as it gets
-    scores = [] if election is None else election.candidate_scores
-    effects = [s.effect for s in scores if nats(change.gain - s.gain, inflation) < state.settings.ambiguous]
-    return ParameterChange(
-        parameter=parameter.name,
-        unit=parameter.unit,
-        manoeuvre=state.responses.flights.names[span.manoeuvre],
-        at=(span.begin - begin) * seconds,
-        interval=(max(nearest[0] - 1 - begin, 0) * seconds, (nearest[1] + 1 - begin) * seconds),
-        lasts=span.end == len(state.residual),
-        before=before,
-        after=after,
-        size=size,
-        share=change.share,
-        p_value=change.p_value,
-        gain=nats(change.gained, inflation),
-        ambiguous_with=tuple(dict.fromkeys([*rivals, *effects])),
-    )
-
-
-Value = tuple[float, float]
-
-
-def _sizes(state: SelectionState, change: FoundChange, chosen: Sequence[Component]) -> tuple[Value, Value, Value]:
-    """Value before, after, and their difference, with standard errors; all that is in is fitted beside."""
-    whole = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre))
-    fit = whole.fit()
-    covariance = uncertainty(whole, fit)
-    widths = [c.basis.shape[2] for c in chosen]
-    place = len(fit.columns) - sum(widths) + sum(widths[: [c is change.component for c in chosen].index(True)])
-    (at,) = fit.places([change.column])
-    combinations = np.zeros((3, len(fit.columns)))
-    combinations[[0, 1], at], combinations[[1, 2], place] = 1.0, change.unit
-    sd = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", combinations, covariance, combinations), 0.0))
-    values = combinations @ fit.step + state.theta[change.column] * np.array([1.0, 1.0, 0.0])
-    before, after, size = ((float(x), float(s)) for x, s in zip(values, sd, strict=True))
-    return before, after, size
-
-
-def _as_good(state: SelectionState, change: FoundChange) -> tuple[tuple[int, int], list[str], float]:
-    """First and last block where it may begin as well; other parameters that explain as much; variance inflation."""
-    scan, settings, (span, parameter) = change.scan, state.settings, change.at
-    estimates = scan.estimates(change.residual)
-    gains, own = scan.gains(estimates), scan.over[span]
-    same = [i for i, other in enumerate(scan.over) if (other.manoeuvre, other.end) == (own.manoeuvre, own.end)]
-    same = sorted(same, key=lambda i: -gains[i, parameter])[:NEAREST]
-    best = np.argmax(gains, axis=0)
-    others = [(int(best[p]), p) for p in range(len(scan.columns)) if p != parameter]
-    places = [(span, parameter), *((i, parameter) for i in same), *others]
-
-    def explained(place: tuple[int, int]) -> Float[np.ndarray, "m c"]:
-        return scan.explained(*place, float(estimates[place]))
-
-    # Two changes are told from each other by the residual along the difference of what they explain.
-    leader = explained((span, parameter))
-    apart = np.stack([leader, *(leader - explained(place) for place in places[1:])], axis=2)
-    inflation = inflation_along(apart, scan.weight, change.folds, change.colour)
-    lost = [nats(float(gains[span, parameter] - gains[p]), float(x)) for p, x in zip(places, inflation, strict=True)]
-    times = [scan.over[i].begin for i, x in zip(same, lost[1:], strict=False) if x <= settings.change_interval]
-    names = [state.full.model.names[scan.columns[p]] for _, p in others]
-    rivals = sorted((x, name) for x, name in zip(lost[1 + len(same) :], names, strict=True) if x < settings.ambiguous)
-    return (min(times), max(times)), [name for _, name in rivals], float(inflation[0])
-
-
-@dataclass(frozen=True)
-class Left:
+class Left(NamedTuple):
     """What the catalogue does not explain."""
 
-    unknown: tuple[UnexplainedStructure, ...]
-    replaced: tuple[str, ...]  # named causes that were only its proxies
+    unknown: tuple[UnexplainedStructure, ...] = ()
+    replaced: tuple[str, ...] = ()  # named causes that were only its proxies
     changes: tuple[ParameterChange, ...] = ()
     functions: tuple[Component, ...] = ()  # by which the structure was found
 
 
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
-    state, components = extension.state, list[FoundComponent]()
+    state, components, replaced = extension.state, list[FoundComponent](), extension.causes
     for number in range(max(state.settings.unnamed_most, len(state.outputs))):
         best = _best(state, [f.component for f in components], seed + number)
         if best is None:
             break
         components.append(best)
         state = best.state
+    chosen = [f.component for f in components]
     if components:
-        replaced = superfluous(state, extension.causes, [f.component for f in components])
-        over = {(f.component.coefficient, f.component.channel) for f in components}
+        replaced, over = superfluous(state, extension.causes, chosen), {(c.coefficient, c.channel) for c in chosen}
         lines = {n: term_of(state, n) for n in replaced}  # terms of a channel, of which a function of it has all
         line = {n for n, t in lines.items() if t and any((t.component.coefficient, x) in over for x in t.term.channels)}
-        return _left(extension, components, tuple(name for name in replaced if name not in line))
-    # A component, or the change of a parameter, that predicts unseen data clearly better than all named causes of the
-    # coefficients together: they were then stand-ins for something that is in no catalogue.
-    proxies = (_changing_in(extension, seed), _standing_in(extension)) if extension.causes else ()
-    margins = [proxy for proxy in proxies if proxy is not None]
-    if not margins:
-        return Left((), ())
-    return _left(extension, [max(margins, key=lambda margin: margin[0])[1]], extension.causes)
+        replaced = tuple(name for name in replaced if name not in line)
+    elif replaced:
+        # A component, or the change of a parameter, that predicts unseen data clearly better than all named causes of
+        # the coefficients together: they were then stand-ins for something that is in no catalogue.
+        margins = [x for x in (_changing_in(extension, seed), _standing_in(extension)) if x is not None]
+        components = [max(margins, key=lambda margin: margin[0])[1]] if margins else []
+        chosen = [f.component for f in components]
+    if not components:
+        return Left()
+    unknown, changes, last = [], [], extension.steps[-1] if extension.steps else None
+    bare = components[-1].state.without([name for name in replaced if name in components[-1].state.active])
+    election = None if last is None or last.chosen is not None else last.screening
+    for found in components:
+        if isinstance(found, FoundChange):
+            change = reported_change(bare, found, chosen, election)
+            if not (change.between and set(change.ambiguous_with) & _constants(bare)):
+                changes.append(change)
+        else:
+            of = found.component
+            unknown.append(UnexplainedStructure(of.coefficient, of.channel, found.share, found.p_value))
+    functions = tuple(found.component for found in components if not isinstance(found, FoundChange))
+    return Left(tuple(unknown), replaced, tuple(changes), functions)
 
 
 def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[UnexplainedStructure, ...]:
@@ -438,13 +109,13 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
     state, structures = extension.state, []
     for name in (n for n in state.apart if n not in idle):
         fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
-        less, fit = fewer.fit(), state.fit()
-        ranking = screen(fewer, less).candidate_scores
+        less, fit = fewer.best, state.best
+        ranking = screening.screen(fewer).candidate_scores
         gain = less.deviance - fit.deviance
         rivals = [s.effect for s in ranking if nats(gain - s.gain, state.variance_inflation) < state.settings.ambiguous]
         at = fit.places(constants_of(state, name))
         from_first = np.eye(len(at))[1:] - np.eye(len(at))[0]
-        covariance = uncertainty(state, fit)[np.ix_(at, at)]
+        covariance = screening.uncertainty(state)[np.ix_(at, at)]
         size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
         p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
         if p > state.settings.block_false_alarm_rate:
@@ -458,27 +129,9 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
 
 
 def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
-    """The columns of a coefficient's constants, in the order of the manoeuvres."""
     width, number = len(state.responses.flights.lengths), state.apart.index(name)
     first = len(state.offsets) - width * (len(state.apart) - number)
     return state.offsets[first : first + width]
-
-
-def _left(extension: Extension, components: Sequence[FoundComponent], replaced: tuple[str, ...]) -> Left:
-    unknown, changes, chosen = [], [], [f.component for f in components]
-    bare = components[-1].state.without([name for name in replaced if name in components[-1].state.active])
-    last = extension.steps[-1] if extension.steps else None
-    election = None if last is None or last.chosen is not None else last.screening
-    for component in components:
-        if isinstance(component, FoundChange):
-            change = reported_change(bare, component, chosen, election)
-            if not (change.between and set(change.ambiguous_with) & _constants(bare)):
-                changes.append(change)
-        else:
-            of = component.component
-            unknown.append(UnexplainedStructure(of.coefficient, of.channel, component.share, component.p_value))
-    functions = tuple(component.component for component in components if not isinstance(component, FoundChange))
-    return Left(tuple(unknown), replaced, tuple(changes), functions)
 
 
 def _constants(state: SelectionState) -> set[str]:
@@ -493,9 +146,9 @@ def _constants(state: SelectionState) -> set[str]:
 def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
     """Named causes of which little is left once the components are in: they had stood in for them."""
     wide, least = state.with_components((), chosen), state.least_share(state.settings.unnamed_share)
-    dropped, deviance, count = [], wide.fit().deviance, float(wide.products.count.sum())
+    dropped, deviance, count = [], wide.best.deviance, float(wide.products.count.sum())
     for name in causes:
-        rest = removed(state, name).with_components((), chosen).fit().deviance
+        rest = removed(state, name).with_components((), chosen).best.deviance
         if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < least:
             dropped.append(name)
     return tuple(dropped)
@@ -510,29 +163,30 @@ def withdrawn(extension: Extension, names: Sequence[str], sizes: Mapping[str, Si
 
 def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
     """The component, or change, that explains what is left beyond chance and predicts left-out data best."""
-    smooth, change = _best_function(state, chosen, seed), sought_change(state, chosen, seed=seed)
+    smooth = next(_functions(state, chosen, seed), None)
+    change = sought_change(state, chosen, seed=seed)
     if change is not None and (smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen)):
         return change
     return smooth
 
 
-def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
-    tried = state.settings.unnamed_tried
+def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) -> Iterator[FoundComponent]:
+    """Those beyond chance, family by family, the highest score first."""
+    tried, rate = state.settings.unnamed_tried, state.settings.unnamed_false_alarm_rate
     for folds, components, least in families(state):
-        batches, leaders = in_batches(state, components, folds), []
+        batches, leaders = in_batches(state, components, folds), list[tuple[float, Component]]()
         for batch in batches:
-            trials = state.with_components(batch, chosen, folds)
-            scores = screen(trials, trials.fit(), seed=seed, nulls=False).candidate_scores[:tried]
-            leaders += [(standing.score, next(c for c in batch if c.label == standing.effect)) for standing in scores]
-        leaders.sort(key=lambda leader: -leader[0])
-        for _, component in leaders[:tried]:
+            trials, by_label = state.with_components(batch, chosen, folds), {c.label: c for c in batch}
+            scores = screening.screen(
+                trials, noise=screening.SharedNoise(seed, trials.folds, len(trials.outputs), trials.settings)
+            ).candidate_scores[:tried]
+            leaders += [(standing.score, by_label[standing.effect]) for standing in scores]
+        for _, component in sorted(leaders, key=lambda leader: -leader[0])[:tried]:
             trial = Trial(state, component, chosen, folds)
-            if trial.gain <= 0.0 or trial.share < least:
-                continue
-            p = trial.chance([state.with_components(batch, chosen, folds) for batch in batches], seed)
-            if p <= state.settings.unnamed_false_alarm_rate:
-                return FoundComponent(state, component, trial.share, p)
-    return None
+            if trial.gain > 0.0 and trial.share >= least:
+                p = trial.chance([state.with_components(batch, chosen, folds) for batch in batches], seed)
+                if p <= rate:
+                    yield FoundComponent(state, component, trial.share, p)
 
 
 def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent] | None:
@@ -541,15 +195,12 @@ def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent
     bare = state.without(extension.causes)
     if not testable(bare):
         return None
-    parts = parts_of(state, state.settings.change_parts)
-    products = Products.of(bare.residual / bare.noise_growth, bare.scaled, parts)
-    own = state.full.own_columns(*extension.causes)
-    of_causes = holdout_deviance_gain(replace(bare, products=products, folds=parts), np.append(bare.columns(), own))
+    parts, own = parts_of(state, state.settings.change_parts), state.full.own_columns(*extension.causes)
+    divided = replace(bare, products=Products.of(bare.residual / bare.noise_growth, bare.scaled, parts), folds=parts)
+    of_causes = holdout_deviance_gain(divided, np.append(bare.columns(), own))
     change = sought_change(bare, (), seed=seed, least=max(of_causes, 0.0))
-    if change is None:
-        return None
-    margin = _margin(state, change.gained, of_causes)
-    return (margin, change) if margin > 0.0 else None
+    margin = -math.inf if change is None else _margin(state, change.gained, of_causes)
+    return (margin, change) if change is not None and margin > 0.0 else None
 
 
 def _margin(state: SelectionState, gained: float, of_causes: float) -> float:
@@ -560,26 +211,22 @@ def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
     """The same of a function, of whose share a part must be left where the causes are in."""
     # A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts
     # less than a function of its own channel where the parameters of the model beside it extrapolate.
-    state = extension.state
+    state, best = extension.state, None
     own = state.full.own_columns(*state.active)
-    best = None
     parts = [(f, batch, least) for f, every, least in families(state) for batch in in_batches(state, every, f)]
     for folds, components, least in parts:
         trial = state.with_components(components, (), folds)
-        bare = trial.columns(())
+        bare, every = trial.columns(()), trial.component_columns
         products = trial.products.shifted(own, -state.departure[own])
         taken_out = replace(trial, products=products, active=())
         of_causes = holdout_deviance_gain(taken_out, np.concatenate([bare, own]), bare)
-        width = max(len(columns) for columns in trial.component_columns)
-        dummy = trial.S.shape[2] - 1
-        rows = [np.append(np.append(bare, c), np.full(width - len(c), dummy)) for c in trial.component_columns]
+        width, dummy = max(map(len, every)), trial.S.shape[2] - 1
+        rows = [np.concatenate([bare, c, np.full(width - len(c), dummy)]) for c in every]
         deviance = products.fit_many(np.array(rows, int), trial.mean, trial.precision)[3]
         for i in np.argsort(deviance)[: state.settings.unnamed_tried]:
-            columns = trial.component_columns[i]
-            gained = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
-            margin = _margin(state, gained, of_causes)
-            share = taken_out.share_of(columns)
-            left = trial.share_of(columns) if margin > 0.0 and share >= least else 0.0
+            gained = holdout_deviance_gain(taken_out, np.concatenate([bare, every[i]]), bare)
+            margin, share = _margin(state, gained, of_causes), taken_out.share_of(every[i])
+            left = trial.share_of(every[i]) if margin > 0.0 and share >= least else 0.0
             if left > 0.0 and left_beside(share, left, state.settings) and (best is None or margin > best[0]):
                 best = (margin, FoundComponent(state, components[i], share, float("nan")))
     return best
@@ -588,3 +235,527 @@ def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
 def left_beside(alone: float, beside: float, settings: DiagnosisSettings) -> bool:
     """Whether the share that a function explains `beside` its causes is no small part of that `alone`, without them."""
     return beside >= (settings.stand_in - 1.0) * alone
+
+
+# --- Which form has unexplained structure: forward selection of terms by what they predict of left-out folds.
+# Of what coefficients leave, noise-only replicates say what is beyond chance. Where a model meets the record in flight,
+# terms are screened by what they make of the residuals to first order, and must be beyond chance by how far they move
+# when a part of the flights is left out: a window of trajectories, or some seconds of innovations.
+
+NEAR = 0.5  # of the best term's gain, below which no other is compared with it; our choice
+AS_GOOD = 0.1  # of what the function gains, what terms may gain less: it bends as it likes; our choice
+SWING = {"CL": 0.01, "CD": 0.001, "Cm": 0.002, "CY": 0.01, "Cl": 0.001, "Cn": 0.001}
+"""The least change of a coefficient worth modelling, as in the catalogue."""
+
+
+@dataclass(frozen=True)
+class SelectedTerm:
+    """A term that was added, with the deviance that it gains on left-out folds, and those that are as good."""
+
+    column: TermColumn
+    gain: float
+    share: float
+    inflation: float
+    weight: float
+    others: tuple[tuple[ProductTerm, float], ...]
+    p_value: float
+    among: int  # terms of which it was chosen
+    elsewhere: tuple[str, ...] = ()  # terms of other coefficients that explain as much
+
+    @property
+    def cost(self) -> float:
+        """Nats of a parameter and of the choice of a term."""
+        return 1.0 + float(np.log(self.among))
+
+
+def components_of(terms: Sequence[SelectedTerm]) -> list[Component]:
+    return [term.column.component for term in terms]
+
+
+def terms_of_coefficient(
+    state: SelectionState, coefficient: str, functions: Sequence[Component], *, seed: int
+) -> list[SelectedTerm]:
+    """Terms that describe what is left of a coefficient as well as the `functions` by which it was found."""
+    columns, terms, settings = columns_of(state, coefficient), list[SelectedTerm](), state.settings
+    for number in range(settings.terms_most):
+        best, _, trial = leader(state, columns, [f.column for f in terms])
+        if nats(best.gain, best.inflation) < settings.ambiguous or best.share < settings.unnamed_share:
+            break
+        own = trial.component_columns[trial.components.index(best.column.component)]
+        wider = trial.fit(trial.wider(own))
+        colour = screening.autocorrelation_of(trial.left(wider), trial.folds)
+        p = screening.chance_of(best.share, screening.null_shares(trial, colour, wider.variance, seed + number))
+        if p > settings.unnamed_false_alarm_rate:
+            break
+        terms.append(replace(best, p_value=p))
+    if not (terms := reconsidered(state, terms)):
+        return []
+
+    def gain(components: Sequence[Component]) -> float:
+        """Deviance of left-out folds that components gain together."""
+        wide = state.with_components((), components)
+        return holdout_deviance_gain(wide, wide.columns(), state.columns())
+
+    inflation, least = max(best.inflation for best in terms), gain(functions)
+    missed = nats(least - gain(components_of(terms)), inflation)
+    return terms if missed < max(settings.ambiguous, AS_GOOD * nats(least, inflation)) else []
+
+
+def reconsidered(state: SelectionState, terms: Sequence[SelectedTerm]) -> list[SelectedTerm]:
+    """The terms that are still worth their place beside all others, with what each gains there."""
+    left = list(terms)
+    for term in terms:
+        trial = Trial(state, term.column.component, components_of([f for f in left if f is not term]))
+        at, least = left.index(term), state.least_share(state.settings.unnamed_share)
+        worth = trial.share >= least and trial.gain > 0.0
+        left[at : at + 1] = [replace(term, share=trial.share, gain=trial.gain)] if worth else []
+    return left
+
+
+def leader(
+    state: SelectionState, columns: Sequence[TermColumn], chosen: Sequence[TermColumn]
+) -> tuple[SelectedTerm, float, SelectionState]:
+    """The best term beside those chosen, the nats that it explains, and the state in which the others stand."""
+    labels = {c.component.label for c in chosen}
+    rest = [c for c in columns if c.component.label not in labels]
+    trial = state.with_components([c.component for c in rest], [c.component for c in chosen])
+    fit = trial.best
+    projected, n = (
+        screening.PartialledRegression(trial, fit, trial.component_columns),
+        float(trial.products.count.sum()),
+    )
+    place, bread = np.array([p[0] for p in projected.place]), np.array([b[0, 0] for b in projected.bread])
+    right = projected.right(trial.left())[place]
+    gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
+    order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
+    best = trial.fit(trial.wider(trial.component_columns[order[0]]))
+    colour = screening.autocorrelation_of(trial.left(best), trial.folds)
+    # Two terms are told from each other by the residual along the difference of what they explain.
+    made = projected.P[:, :, place[order]] * (bread * right)[order]
+    apart = np.concatenate([made[:, :, :1], made[:, :, :1] - made[:, :, 1:]], axis=2)
+    along = screening.inflation_along(apart, projected.weight, trial.folds, colour)
+    lost = np.array([0.0, *map(nats, gains[order[0]] - gains[order[1:]], along[1:])])
+    weights = weights_of(lost, [rest[j].term.cost for j in order])
+    equal = [i for i in range(len(order)) if lost[i] < state.settings.ambiguous]
+    first = max(equal, key=lambda i: weights[i])
+    others = sorted(((rest[order[i]].term, float(weights[i])) for i in equal if i != first), key=lambda x: -x[1])
+    column, inflation = trial.component_columns[order[first]], float(along[0])
+    own = trial.wider(column)
+    explained = nats(fit.deviance - trial.fit(own).deviance, inflation)
+    term = SelectedTerm(
+        rest[order[first]], holdout_deviance_gain(trial, own), trial.share_of(column), inflation,
+        float(weights[first]), tuple(others), float("nan"), len(columns),
+    )  # fmt: skip
+    return term, explained, trial
+
+
+def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.ndarray, " j"]:
+    log = -lost - np.log(2.0) * np.array(costs)
+    weights = np.exp(log - log.max())
+    return weights / weights.sum()
+
+
+def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[FoundTerm, ...]:
+    """All terms fitted together, beside the parameters of the model."""
+    whole = state.with_components((), components_of(terms))
+    fit, errors = whole.best, screening.jackknife_errors(whole, state.responses.parts)
+    deviation = np.maximum(np.sqrt(np.diag(screening.uncertainty(whole))), errors)
+    own, sizes = slice(len(fit.columns) - len(terms), None), []
+    for term, size, sd in zip(terms, fit.step[own], deviation[own], strict=True):
+        column, coefficient = term.column, term.column.component.coefficient
+        factor, gain = (float(size) / column.scale, float(sd) / column.scale), nats(term.gain, term.inflation)
+        least = SWING[coefficient] / max(column.spread, 1e-12)
+        sizes.append(FoundTerm(coefficient, column.term, factor, term.share, gain, term.weight, term.others, least))
+    return tuple(sizes)
+
+
+# --- Where a model meets the record in flight.
+
+
+def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
+    """Terms of all coefficients, the first added first."""
+    library = [columns_of(state, name) for name in state.responses.model.coefficients]
+    left = list[SelectedTerm]()
+    for number in range(state.settings.unnamed_most):
+        best = _next(state, library, left, seed + number)
+        if best is None:
+            break
+        left.append(best)
+    left = reconsidered(state, left)
+    while left:  # those of which, beside the others, nothing sure is left go out, the least sure first
+        scores = [abs(best.size[0]) / best.size[1] for best in sized_terms(state, left)]
+        if min(scores) >= state.settings.least_score:
+            break
+        left.pop(scores.index(min(scores)))
+    return left
+
+
+def _next(
+    state: SelectionState, library: Sequence[Sequence[TermColumn]], terms: Sequence[SelectedTerm], seed: int
+) -> SelectedTerm | None:
+    """The best term beside those found; None where none is beyond chance, large enough and useful."""
+    settings, noise = state.settings, screening.SharedNoise(seed, state.folds, len(state.outputs), state.settings)
+    chosen, among, leaders, gains = components_of(terms), 0, [], []
+    for columns in library:
+        left = {c.component.label: c for c in columns if c not in [term.column for term in terms]}
+        trial = state.with_components([c.component for c in left.values()], chosen)
+        scores = screening.screen(trial, noise=noise).candidate_scores
+        among, gains = among + len(left), [*gains, *((left[s.effect], s.gain) for s in scores)]
+        leaders += [(s, left[s.effect], trial) for s in scores[: settings.candidates_tried]]
+    for standing, column, trial in sorted(leaders, key=lambda leader: -leader[0].score):
+        p = _chance(trial, standing, among)
+        if p <= settings.unnamed_false_alarm_rate:
+            return _weighed(state, gains, chosen, column, p)
+    return None
+
+
+def _chance(trial: SelectionState, standing: screening.CandidateScore, among: int) -> float:
+    """The chance that noise lets some of `among` terms look as good; 1 where it is too small or predicts nothing."""
+    settings, own = trial.settings, np.array(standing.columns, int)
+    alone = len(trial.responses.flights.lengths) == 1
+    least = trial.least_share(settings.single_share if alone else settings.unnamed_share)
+    if trial.share_of(own) < least or standing.log_bayes <= 0.0:
+        return 1.0
+    wide = trial.wider(own)
+    if nats(holdout_deviance_gain(trial, wide), standing.variance_inflation) < settings.ambiguous:
+        return 1.0
+    # No stationary colour holds in windows, with a term in or out; and innovations are white only as far as the noise
+    # of the filter is right. So it is how far the estimate moves without each part of the flights, Bonferroni over the
+    # library.
+    wider = trial.fit(wide)
+    return screening.jackknife_p_value(trial, wider, own, wider.step[-1:], among)
+
+
+def _weighed(
+    state: SelectionState, gains: list[tuple[TermColumn, float]], chosen: list[Component], first: TermColumn, p: float
+) -> SelectedTerm:
+    """The term of most weight among those, of any coefficient, that explain about as much as the leader `first`."""
+    best = next(gain for column, gain in gains if column is first)
+    near = sorted(((c, x) for c, x in gains if x >= NEAR * best), key=lambda pair: pair[0] is not first)
+    trial = state.with_components([c.component for c, _ in near], chosen)
+    colour = screening.autocorrelation_of(trial.left(trial.fit(trial.wider(trial.component_columns[0]))), trial.folds)
+    # What tells two of them apart is the residual along the difference of what they explain.
+    projected, residual = screening.PartialledRegression(trial, trial.best, trial.component_columns), trial.left()
+    apart = projected.apart(residual, projected.estimates(residual), 0, colour, trial.responses.parts)
+    lost = np.array([nats(best - gain, x) for (_, gain), x in zip(near, apart, strict=True)])
+    lost -= lost.min()
+    weights = weights_of(lost, [c.term.cost for c, _ in near])
+    close = np.flatnonzero(lost < state.settings.ambiguous)
+    rivals = sorted([(near[i][0], float(weights[i])) for i in close], key=lambda rival: -rival[1])
+    (column, weight), of = rivals[0], rivals[0][0].component.coefficient
+    trial = Trial(state, column.component, chosen)
+    standing = screening.screen(trial.state).candidate_scores[0]
+    others = tuple((rival.term, x) for rival, x in rivals[1:] if rival.component.coefficient == of)
+    elsewhere = tuple(c.component.label for c, _ in rivals if c.component.coefficient != of)
+    inflation = standing.variance_inflation
+    return SelectedTerm(column, trial.gain, trial.share, inflation, weight, others, p, 1, elsewhere)
+
+
+class Forms(NamedTuple):
+    """Terms that were found, and what they are instead of."""
+
+    terms: tuple[FoundTerm, ...]
+    replaced: tuple[str, ...]  # causes of which little is left beside them
+    idle: tuple[str, ...] = ()  # coefficients whose offsets between manoeuvres the terms explain
+    rivals: Mapping[str, tuple[str, float]] = MappingProxyType({})  # terms as good as a cause; nats they explain less
+    sizes: Mapping[str, Size] = MappingProxyType({})  # of parameters of causes that are left, beside the terms
+    functions: tuple[tuple[Component, float], ...] = ()  # polynomials beside the terms, and their shares
+    unknown: tuple[UnexplainedStructure, ...] = ()  # the structure that terms of flights describe
+
+
+SHOWN = 4  # parts of a form that are listed beside a cause
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """What explains the flights: a state with its additions and offsets, terms, and polynomials for what is left."""
+
+    state: SelectionState
+    terms: tuple[SelectedTerm, ...] = ()
+    functions: tuple[Component, ...] = ()
+
+    @property
+    def wide(self) -> SelectionState:
+        return self.state.with_components((), self.components)
+
+    @property
+    def components(self) -> tuple[Component, ...]:
+        return (*components_of(self.terms), *self.functions)
+
+    @cached_property
+    def fitted(self) -> tuple[RegressionFit, Float[np.ndarray, "m c"]]:
+        """The fit of `wide` and what it leaves, from the columns that are in alone."""
+        state, bases, columns = self.state, [one.basis for one in self.components], self.state.columns()
+        S = np.concatenate([state.S[:, :, columns], *bases], axis=2) / state.noise_growth[:, :, None]
+        residual, flat = state.residual / state.noise_growth, state.flat_prior(S.shape[2] - len(columns))
+        mean, precision = (np.append(x[columns], y) for x, y in zip((state.mean, state.precision), flat, strict=True))
+        best = Products.of(residual, S, state.folds).fit(np.arange(S.shape[2]), mean, precision)
+        return best, residual - S @ best.step
+
+    @cached_property
+    def cost(self) -> float:
+        """Nats of its parameters, and of the choices that they are."""
+        state, own = self.state, {e.name: e for e in self.state.full.candidates}
+        causes = sum(len(own[name].parameters) + np.log(len(own)) for name in state.active)
+        offsets = len(state.apart) * (len(state.responses.flights.lengths) - 1)
+        functions = sum(f.basis.shape[2] + 1.0 for f in self.functions)
+        return float(causes + offsets + functions + sum(one.cost for one in self.terms))
+
+    def less(self, item: str | SelectedTerm) -> _Model:
+        """Without a term, a cause, or the offsets of a coefficient; the others as they were."""
+        state = self.state
+        if isinstance(item, SelectedTerm):
+            return replace(self, terms=tuple(term for term in self.terms if term is not item))
+        if item in state.apart:
+            return replace(self, state=moved(state, state.theta, apart=tuple(n for n in state.apart if n != item)))
+        return replace(self, state=truncated(state, [name for name in state.active if name != item]))
+
+    def beyond(self, other: _Model) -> float:
+        """Nats by which it explains more than another, the costs of both counted."""
+        # What tells the two apart is the residual along the difference of what they explain.
+        state, fits, lefts = self.state, (self.fitted[0], other.fitted[0]), (self.fitted[1], other.fitted[1])
+        better = int(fits[1].deviance < fits[0].deviance)
+        D, weight = np.where(state.inside[:, None], lefts[0] - lefts[1], 0.0)[:, :, None], 1.0 / fits[better].variance
+        colour, left = screening.autocorrelation_of(lefts[better], state.folds), (lefts[better], state.responses.parts)
+        (inflation,) = screening.inflation_along(D, weight, state.folds, colour, left)
+        return nats(fits[1].deviance - fits[0].deviance, float(inflation)) - self.cost + other.cost
+
+    def degrades(self, other: _Model) -> bool:
+        before, after = (LeftOut.first_order(one.wide, one.state.active) for one in (other, self))
+        return self.state.settings.degrades(*after.gain(before))
+
+    def curved(self, curves: Sequence[Component]) -> _Model:
+        """With each function that earns its cost."""
+        model = self
+        for curve in curves:
+            wider = replace(model, functions=(*model.functions, curve))
+            model = wider if wider.beyond(model) > 0.0 else model
+        return model
+
+    def refitted(self) -> _Model:
+        return replace(self, state=moved(self.state, optimum(self.wide, range(len(self.state.folds)))))
+
+    def eliminated(self, items: Sequence[str], curves: Sequence[Component]) -> _Model:
+        """Without what does not earn its cost, the least useful first; functions may take the place of causes."""
+        model = self
+        while True:
+            inside = [item for item in items if item in (*model.state.active, *model.state.apart)]
+            trials = [model.less(item) for item in (*inside, *model.terms)]
+            rivals = [replace(x, functions=tuple(curves)) for x in trials[: len(inside)]] + trials[len(inside) :]
+            gains = [rival.beyond(model) for rival in rivals]
+            if not gains or max(gains) <= 0.0:
+                return model.curved(curves)
+            best = trials[int(np.argmax(gains))]
+            model = best if best.state is model.state else best.refitted()
+
+    def with_terms_for(self, name: str) -> _Model:
+        """With terms, and functions, in place of one cause."""
+        state = _without(self.state, [name], self.state.apart)
+        reached = _reached(state, self.state, ())
+        terms = tuple(_beside(state, reached, self.terms, [name], self.state))
+        curves = [curve for coefficient in reached for curve in polynomials(state, coefficient)]
+        return _Model(state, terms, self.functions).curved(curves)
+
+
+def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
+    """Terms for all structure that is `left`; periods have none."""
+    instead = contest(extension, left)
+    if instead.terms or instead.replaced:
+        return instead
+    by_coefficient: dict[str, list[Component]] = {}
+    for function in left.functions:
+        if not function.periodic:
+            by_coefficient.setdefault(function.coefficient, []).append(function)
+
+    def sought(state: SelectionState) -> list[SelectedTerm]:
+        return [t for n, own in by_coefficient.items() for t in terms_of_coefficient(state, n, own, seed=seed)]
+
+    bare = extension.state.without([name for name in left.replaced if name in extension.state.active])
+    causes = [name for name in extension.causes if name not in left.replaced]
+    return _with_terms(instead, bare, causes, sought)[0]
+
+
+def flown_forms(extension: Extension, *, seed: int, progress: Progress = quiet) -> Forms:
+    """Terms of all coefficients for what an extended model leaves of trajectories or innovations."""
+    progress("terms", 0.0)
+    instead, terms = contest(extension), list[SelectedTerm]()
+    forms, unknown = instead, list[UnexplainedStructure]()
+    if not (instead.terms or instead.replaced):
+        sought = partial(terms_of_flights, seed=seed)
+        forms, terms = _with_terms(instead, extension.state, extension.causes, sought)
+    for term, c in zip(terms, components_of(terms), strict=True):
+        unknown.append(UnexplainedStructure(c.coefficient, c.channel, term.share, term.p_value, term.elsewhere))
+    return forms._replace(unknown=described(unknown, instead))
+
+
+def _with_terms(
+    forms: Forms, state: SelectionState, causes: Sequence[str], sought: Callable[[SelectionState], list[SelectedTerm]]
+) -> tuple[Forms, list[SelectedTerm]]:
+    """Terms beside a state, if there are any without causes that only stood in for one: then without these."""
+    terms, replaced = sought(state), ()
+    if terms and (replaced := superfluous(state, causes, components_of(terms))):
+        bare = state.without(replaced)
+        again = sought(bare)
+        state, terms, replaced = (bare, again, replaced) if again else (state, terms, ())
+    return (forms._replace(terms=sized_terms(state, terms), replaced=replaced) if terms else forms), terms
+
+
+def described(unknown: Sequence[UnexplainedStructure], forms: Forms) -> tuple[UnexplainedStructure, ...]:
+    """Structure by the first function that shows it, where terms describe all of it."""
+    by_coefficient = {term.coefficient: term for term in reversed(forms.terms)}
+    first = {u.coefficient: u for u in reversed(unknown)}
+    more = [
+        UnexplainedStructure(c, t.term.name, t.share, float("nan")) for c, t in by_coefficient.items() if c not in first
+    ]
+    more += [
+        UnexplainedStructure(function.coefficient, function.channel, share, float("nan"))
+        for function, share in forms.functions
+        if function.coefficient not in {**first, **by_coefficient}
+    ]
+    return (*(u for u in unknown if u.coefficient not in by_coefficient or u is first[u.coefficient]), *more)
+
+
+def contest(extension: Extension, left: Left = Left()) -> Forms:
+    """Terms in place of causes and offsets that only stood in for them; and those that explain as well as causes."""
+    # A wrong form of a coefficient leaves residuals that follow the state, as a stall or the error of a sensor does,
+    # and differ between manoeuvres, as offsets do. So terms are sought without all of them; then everything is in, and
+    # what does not earn its cost goes out, the least useful first.
+    state, causes = extension.state, extension.causes
+    aerodynamic = {e.name for e in state.full.candidates if e.kind is Kind.AERODYNAMICS}
+    columns = {name: term_of(state, name) for name in causes if name in aerodynamic}
+    named = {name: c.component for name, c in columns.items() if c is not None and _is_smooth(c.term)}
+    rest = [name for name in causes if name not in named]
+    if not (rest or state.apart):
+        return Forms((), ())
+    start, named_only = _Model(state), _without(state, rest, ())
+    reached = _reached(named_only, state, {f.coefficient for f in left.functions})
+    named = {name: component for name, component in named.items() if component.coefficient in reached}
+    models = list[_Model]()
+    for apart in ((), state.apart) if state.apart else ((),):
+        terms = _beside(_without(state, [*rest, *named], apart), reached, (), rest, state)
+        by_name = {
+            name: [f for f in components_of(terms) if f.coefficient == c.coefficient] for name, c in named.items()
+        }
+        alone = [name for name, own in by_name.items() if [f.label for f in own] in ([], [named[name].label])]
+        same = {named[name].label for name in alone}
+        out = [*(name for name in named if name not in alone), *left.replaced]
+        more = tuple(one for one in terms if one.column.component.label not in same)
+        models += [_Model(_without(state, out, state.apart), more)] if more else []
+    curves = [one for coefficient in reached for one in polynomials(named_only, coefficient)]
+    bare = [replace(model, state=_without(model.state, rest, ())) for model in models]
+    wholes, items = [model.curved(curves).refitted() for model in bare], [*rest, *state.apart]
+    tried = [model.eliminated(items, whole.functions) for model, whole in zip(models, wholes, strict=True)]
+    best = _best_model(start, tried)
+    if best is start:
+        model, better = start, [(0.0, start)]
+        while better:  # terms in place of one cause after another, as long as they are decisively better
+            model = max(better, key=lambda pair: pair[0])[1]
+            others = [model.with_terms_for(name) for name in rest if name in model.state.active]
+            better = [(x, other) for other in others if (x := other.beyond(model)) > state.settings.decisive]
+        tried.append(model.eliminated(items, curves))
+        best = _best_model(start, tried)
+    idle = _idle(replace(best, functions=()), curves)
+    rivals = _rivals(best, [name for name in rest if name in best.state.active], [*wholes, *tried])
+    functions = [*best.functions, *(f for f in idle.values() if f not in best.functions)]
+    shares = [(f, Trial(best.state, f, [c for c in best.components if c is not f]).share) for f in functions]
+    least = state.least_share(state.settings.unnamed_share)
+    shown = tuple((f, share) for f, share in shares if share >= least)
+    if best is start:
+        return Forms((), (), idle=tuple(idle), rivals=rivals, functions=shown)
+    gone = tuple(name for name in causes if name not in best.state.active)
+    # Offsets that are, beside the terms, smaller than what is worth modelling.
+    columns, step = list(best.state.columns()), best.fitted[0].step
+    places = {n: [columns.index(column) for column in constants_of(best.state, n)] for n in best.state.apart}
+    negligible = [name for name, at in places.items() if np.ptp(step[at]) < SWING[name]]
+    gone_apart = (*idle, *(name for name in state.apart if name not in best.state.apart), *negligible)
+    sizes = _sizes_beside(best, [name for name in causes if name not in gone])
+    return Forms(sized_terms(best.state, best.terms), gone, tuple(dict.fromkeys(gone_apart)), rivals, sizes, shown)
+
+
+def _without(state: SelectionState, effects: Sequence[str], apart: tuple[str, ...]) -> SelectionState:
+    """The state without some of its additions and of its offsets, at the optimum of what is left."""
+    kept = tuple(name for name in state.active if name not in effects)
+    return refitted(moved(state, state.full.at_neutral(state.theta, effects), kept, apart))
+
+
+def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]) -> list[str]:
+    """Coefficients that lack something without what is contested: all, where the residuals are no coefficients."""
+    if not state.of_coefficients:
+        return list(state.responses.model.coefficients)
+    more = float(state.products.count.sum()) * np.log(bare.best.variance / state.best.variance)
+    lacking = [nats(x, state.variance_inflation) > state.settings.ambiguous for x in more]
+    return [n for n, lacks in zip(state.outputs, lacking, strict=True) if lacks or n in shown or n in state.apart]
+
+
+def _is_smooth(term: ProductTerm) -> bool:
+    """Whether it is a function of the state of motion: memory and separated flow are none."""
+    return all(f.code is not None and f is not SEPARATED for f in term.factors)
+
+
+def _beside(
+    state: SelectionState, reached: list[str], chosen: Sequence[SelectedTerm], effects: list[str], full: SelectionState
+) -> list[SelectedTerm]:
+    """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
+    terms = list(chosen)
+    for name in reached:
+        columns = [c for c in columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME]
+        for _ in range(state.settings.terms_most):
+            best, explained, _ = leader(state, columns, [f.column for f in terms])
+            if explained <= best.cost:
+                break
+            terms.append(best)
+    return terms
+
+
+def _idle(model: _Model, curves: Sequence[Component]) -> dict[str, Component]:
+    """Coefficients whose offsets a polynomial explains as well, and that."""
+    explained, least = dict[str, Component](), -model.state.settings.ambiguous
+    for name in model.state.apart:
+        bare = model.less(name)
+        gains = [(replace(bare, functions=(f,)).refitted().beyond(model), f) for f in curves if f.coefficient == name]
+        gain, best = max(gains, key=lambda pair: pair[0])
+        explained |= {name: best} if gain > least else {}
+    return explained
+
+
+def _best_model(start: _Model, models: Sequence[_Model]) -> _Model:
+    """The model that explains most of those that take the place of the first, if it is decisively better; or that."""
+
+    def able(model: _Model) -> bool:
+        """Whether terms replace something, are identified within manoeuvres, and predict hold-out data no worse."""
+        if not model.beyond(start) > start.state.settings.decisive:
+            return False
+        inside = replace(model, state=moved(model.state, model.state.theta, apart=start.state.apart))
+        fewer = model.state.active != start.state.active or model.state.apart != start.state.apart
+        there = inside.beyond(replace(inside, terms=(), functions=())) > 0.0
+        return bool(fewer) and there and not inside.degrades(start)
+
+    return max(filter(able, models), key=lambda model: model.beyond(start), default=start)
+
+
+def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> dict[str, tuple[str, float]]:
+    """Forms of `others`, or in place of one cause, that explain as well as causes, and by how many nats less."""
+    settings, rivals = best.state.settings, dict[str, tuple[str, float]]()
+    for other in (*others, *(best.with_terms_for(name) for name in causes)):
+        gone = [name for name in causes if name not in other.state.active]
+        had = {one.label for one in best.components}
+        labels = [one.label for one in other.components if one.label not in had]
+        if not (gone and labels) or (lost := best.beyond(other)) >= settings.ambiguous or other.degrades(best):
+            continue
+        form = ", ".join(labels[:SHOWN]) + (f" and {len(labels) - SHOWN} more" if len(labels) > SHOWN else "")
+        rivals |= {name: (f"a form ({form})", lost) for name in gone if name not in rivals or lost < rivals[name][1]}
+    return rivals
+
+
+def _sizes_beside(model: _Model, causes: Sequence[str]) -> dict[str, Size]:
+    """Parameters of causes beside terms and polynomials, to first order."""
+    wide = model.wide
+    fit, free = wide.best, wide.full.model.free
+    sds = np.sqrt(np.diag(screening.uncertainty(wide)))
+    step, sd = (dict(zip(fit.columns, x, strict=True)) for x in (fit.step, sds))
+    own = [int(column) for column in wide.full.own_columns(*causes) if column in step]
+    return {
+        free[c].name: Size(float(np.clip(x, *free[c].bounds)), float(sd[c]), free[c].unit, not low < x < high)
+        for c in own
+        for x, (low, high) in [(wide.theta[c] + step[c], free[c].bounds)]
+    }

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.candidate_set import candidate_model, too_short
 from bayes_aero.diagnosis.consistency import KnownErrors, consistency, errors_of_path, screen_sensor_errors
 from bayes_aero.diagnosis.result import CheckReport, SensorCheck
+from bayes_aero.diagnosis.selection_state import candidate_model, too_short
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import Agreement, Consistency, HealthFinding
@@ -184,8 +184,8 @@ def errors_of_sensors(
     except InputError as reason:
         return None, str(reason), SensorCheck(str(reason), {}, {})
     known = errors_of_path(found)
-    before = np.sqrt(np.mean((found.base.left(found.base_fit) * found.base.noise_growth) ** 2, axis=0))
-    after = np.sqrt(np.mean((found.state.left(found.fit) * found.state.noise_growth) ** 2, axis=0))
+    before = np.sqrt(np.mean((found.base.left() * found.base.noise_growth) ** 2, axis=0))
+    after = np.sqrt(np.mean((found.state.left() * found.state.noise_growth) ** 2, axis=0))
     rms = {n: (float(a), float(b)) for n, a, b in zip(found.state.outputs, before, after, strict=True)}
     return known, "", SensorCheck("", {n: dict(error) for n, error in known.errors.items()}, rms)
 

@@ -13,13 +13,20 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import next_test_points
-from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
+from bayes_aero.diagnosis.diagnose import (
+    causes_in_band,
+    diagnose,
+    judged_on_held_out_flights,
+    sensors_not_missed,
+    view_of,
+    with_holdout_scores,
+    with_stalls,
+)
 from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis, Trajectories, View
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.diagnosis.trajectories import compare_trajectories, with_tested
-from bayes_aero.diagnosis.view import causes_in_band, view_of, with_holdout_scores, with_stalls
 from bayes_aero.dynamics.pilot import ANYWHERE
 from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind
@@ -101,8 +108,8 @@ def diagnose_records(
     source = provenance(card, records, options.seed, options.settings, options)
     if progress:
         progress("do the sensors agree?", 0.0)
-    settings, noise = DiagnosisSettings(max_effects=options.max_effects), options.process_noise
-    found = diagnose(records, card, settings=settings, seed=options.seed, process_noise=noise, progress=progress)
+    settings = DiagnosisSettings(max_effects=options.max_effects, process_noise=options.process_noise)
+    found = diagnose(records, card, settings=settings, seed=options.seed, progress=progress)
     alone = not found.by_coefficients
     options = replace(options, test_points=options.test_points and not alone)
     known = None if alone else errors_of_diagnosis(found)

@@ -15,9 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.diagnosis.consistency import in_gusts, no_flight_path
-from bayes_aero.diagnosis.flights import with_process_noise
 from bayes_aero.diagnosis.result import FITTED, ProcessNoise, Setting, TrajectoryFit
-from bayes_aero.diagnosis.trajectories import fit_disagreements, fit_trajectories, motion_of, still_apart
+from bayes_aero.diagnosis.trajectories import (
+    fit_disagreements,
+    fit_trajectories,
+    motion_of,
+    still_apart,
+    with_process_noise,
+)
 from bayes_aero.dynamics.flight import (
     DERIVED,
     Dynamics,
@@ -225,7 +230,14 @@ def setting_of(options: FlyOptions, card: Card) -> Setting:
     if options.outputs is not None:
         names = options.outputs.split(",") if isinstance(options.outputs, str) else options.outputs
         outputs = tuple(dict.fromkeys(name.strip() for name in names))
-    return Setting(outputs, None if options.initial_state == FREE else initial, options.priors, options.inputs == HELD)
+    return Setting(
+        outputs,
+        None if options.initial_state == FREE else initial,
+        options.priors,
+        options.inputs == HELD,
+        options.windows,
+        {} if options.flight_path else card.output_biases,
+    )
 
 
 def coefficient_fit(
@@ -271,9 +283,7 @@ def output_error_fit(
         dynamics,
         {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
         starts=starts,
-        window=options.windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
-        biases={} if options.flight_path else card.output_biases,
         setting=setting_of(options, card),
         progress=progress,
     )

@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bayes_aero.diagnosis.flights import fly_given
 from bayes_aero.diagnosis.result import SimulatedManoeuvre
+from bayes_aero.diagnosis.trajectories import fly_given
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import rate_notes
 from bayes_aero.flight.record import FlightRecord

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.flights import FlightNoise, posterior_draws, trajectory_variance_inflation
+from bayes_aero.diagnosis.trajectories import FlightNoise, posterior_draws, trajectory_variance_inflation
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.errors import InputError
@@ -31,16 +31,19 @@ from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress
-from bayes_aero.qualification.flights import (
+from bayes_aero.qualification import FAILS_TO, PASSES_FROM, FlightKind, Further, Outside, Qualification, Strip
+from bayes_aero.qualification.qualify import (
+    CHANNELS,
     OpenTest,
+    Region,
+    Uncertain,
     alone_fits,
     fits_without,
     further_flights,
     hold_out,
     next_parameters,
+    qualify,
 )
-from bayes_aero.qualification.qualify import CHANNELS, Region, Uncertain, qualify
-from bayes_aero.qualification.result import FAILS_TO, PASSES_FROM, FlightKind, Further, Outside, Qualification, Strip
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.qualification import qualification_page, test_table
 from bayes_aero.report.phrases import several

@@ -9,20 +9,97 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 from scipy.optimize import nnls
 
-from bayes_aero.diagnosis.flights import label
-from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero import qualification
+from bayes_aero.diagnosis.design import Information, best_points, noise_of, possible_points, refused_points, variants_of
+from bayes_aero.diagnosis.selection_state import CandidateModel, linearised, quiet
+from bayes_aero.diagnosis.trajectories import CandidateFit, FlightNoise, label, left_out, masked, posterior_draws
+from bayes_aero.dynamics.pilot import through_gusts
+from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
 from bayes_aero.errors import InputError
 from bayes_aero.inference.covariance import ORDER, autoregression, filtered_noise
-from bayes_aero.inference.output_error import SeparatedFlow
+from bayes_aero.inference.output_error import OutputErrorResult, SeparatedFlow, fit_output_error, trajectories
+from bayes_aero.inference.pooled import Hierarchy, from_prior_units, pool, prior_unit, to_prior_units
+from bayes_aero.inference.prediction_error import disturbed
+from bayes_aero.inference.results import OutputErrorStatus
+from bayes_aero.model.model import Model
+from bayes_aero.model.records import Flights
+from bayes_aero.physics.aircraft import Envelope, required_of
+from bayes_aero.processes import cores
 from bayes_aero.progress import Progress
-from bayes_aero.qualification.flights import HoldOut, OpenTest, errors, gust_spread, mean_square, spread
-from bayes_aero.qualification.result import Chance, FlightKind, Outside, RecordBeside, Strip, Test, ToleranceVerdict
+from bayes_aero.residuals.equation_error import EquationError
+
+Vector = Float[np.ndarray, " k"]
+Drawn = Float[np.ndarray, "m n c"]  # of m draws, n samples and c outputs
+
+
+def errors(flown: SegmentTrajectories, theta: Vector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Recorded minus simulated, SI; separated share of the flow; whether each manoeuvre stays inside the envelope."""
+    still = jnp.zeros((len(flown.index), len(flown.dynamics.start)))
+    simulated = trajectories(flown, jnp.asarray(theta), still)
+    X = simulated.trajectory.outputs.get("X")
+    separated = np.zeros(flown.index.shape) if X is None else np.clip(1.0 - np.asarray(X), 0.0, 1.0)
+    sound = np.all(np.asarray(simulated.trajectory.inside) | ~flown.inside, axis=1)
+    return np.asarray(simulated.residual), separated, sound
+
+
+def spread(alone: SegmentTrajectories, theta: Vector, draws: Float[np.ndarray, "m k"]) -> Drawn:
+    """Flights of one manoeuvre with drawn parameters minus the simulation at `theta`, SI; infinite once outside."""
+    still = jnp.zeros((1, len(alone.dynamics.start)))
+
+    def residual(drawn: Vector) -> Float[np.ndarray, "n c"]:
+        flight = trajectories(alone, jnp.asarray(drawn), still)
+        sound, made = np.asarray(flight.trajectory.inside[0])[:, None], np.asarray(flight.residual[0])
+        return np.where(sound & np.isfinite(made), made, -np.inf)
+
+    centre = residual(theta)
+    with ThreadPoolExecutor(cores()) as pool:
+        return np.stack([centre - away for away in pool.map(residual, draws)])
+
+
+def gust_spread(
+    alone: SegmentTrajectories, draws: Float[np.ndarray, "m k"], gusts: Mapping[str, float], rng: np.random.Generator
+) -> Drawn:
+    """What gusts add to flights with drawn parameters, SI, begun in gusts of their own distribution; else calm air."""
+    gusty = disturbed(alone)
+    free, own = gusty.dynamics.free, gusty.dynamics.disturbance_parameters
+    calm = {p.name: 0.0 if p.neutral == 0.0 else p.start for p in free if p.name in own}
+    n, s = alone.index.shape[1], len(gusty.dynamics.states)
+
+    def added(job: tuple[Vector, np.ndarray]) -> Float[np.ndarray, "n c"]:
+        values = calm | dict(zip(alone.dynamics.names, job[0], strict=True)) | dict(gusts)
+        return np.asarray(_added(gusty.nameless, jnp.asarray([values[p.name] for p in free]), jnp.asarray(job[1])))
+
+    with ThreadPoolExecutor(cores()) as pool:
+        return np.stack(list(pool.map(added, ((d, rng.standard_normal((n + 1, s))) for d in draws))))
+
+
+@eqx.filter_jit
+def _added(gusty: SegmentTrajectories, theta: Float[Array, " k"], white: Float[Array, "m s"]) -> Float[Array, "n c"]:
+    prepared = prepare(gusty, theta)
+    states = prepared.initial_states
+    covariance = prepared.initial_covariance(states, jnp.zeros(states.shape[1]))[0]
+    size, vectors = jnp.linalg.eigh(covariance)
+    begin = states[0] + vectors @ (jnp.sqrt(jnp.maximum(size, 0.0)) * white[0])
+    inputs = {name: x[0] for name, x in prepared.drives.items()}
+
+    def fly(start, noise):
+        system = prepared.system
+        return through_gusts(system, start, inputs, gusty.dt[0], noise, gusty.outputs, gusty.substeps)
+
+    made, sound = jax.vmap(fly)(jnp.stack([begin, states[0]]), jnp.stack([white[1:], jnp.zeros_like(white[1:])]))
+    return jnp.where(jnp.all(sound, axis=0)[:, None], (made[0] - made[1]) / prepared.scale[0], jnp.inf)
+
 
 # --- Errors of a simulation that parameters do not explain, as random histories: an autoregression and white noise.
 # A simulation begins in the measured state, so slow errors begin at zero and grow over their memory. Their mean square
@@ -107,13 +184,12 @@ def _block(dt: float) -> int:
 
 
 def _means(error: Float[np.ndarray, "n c"], dt: float) -> tuple[Float[np.ndarray, "t c"], Float[np.ndarray, "n c"]]:
+    """Means over blocks, and the error without the lines that join them."""
     block = _block(dt)
     blocks = max(1, len(error) // block)
     means = np.stack([part.mean(axis=0) for part in np.array_split(error[: blocks * block], blocks)])
-    centre = block * np.arange(blocks) + 0.5 * (block - 1)
-    at = np.arange(len(error))
-    line = np.stack([np.interp(at, centre, column) for column in means.T], axis=1)
-    return means, error - line
+    at, centre = np.arange(len(error)), block * np.arange(blocks) + 0.5 * (block - 1)
+    return means, error - np.stack([np.interp(at, centre, column) for column in means.T], axis=1)
 
 
 def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int]) -> float:
@@ -122,22 +198,28 @@ def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int])
         P = A @ P @ A.T
         P[0, 0] += 1.0
         variances.append(P[0, 0])
-    total = np.cumsum(variances)
-    return float(sum(total[length - 1] for length in lengths) / sum(lengths))
+    return float(np.cumsum(variances)[np.array(lengths) - 1].sum() / sum(lengths))
 
 
 # --- How probably each test passes.
 
 CENTRAL = (0.025, 0.975)
-EXPLAINING = 40  # draws for the mean square that parameters or gusts explain
+DRAWS = 40  # for the mean square that parameters or gusts explain
 FAR = 1e30  # of a flight that left the envelope
+
+
+class HoldOut(NamedTuple):
+    """Errors (w, n, c) of manoeuvres that were not fitted, and the mean squares (c,) that parameters explain, SI."""
+
+    errors: Float[np.ndarray, "w n c"]
+    explained: Float[np.ndarray, " c"]
 
 
 @dataclass(frozen=True)
 class Uncertain:
     """What is not known of a model."""
 
-    estimate: Float[np.ndarray, " k"]  # its parameters, SI
+    estimate: Vector  # its parameters, SI
     draws: Float[np.ndarray, "m k"]  # of their posterior
     following: Float[np.ndarray, "m k"] | None = None
     """Of the next flight's; None where their scatter between manoeuvres is not known. They are used where they do not
@@ -150,24 +232,44 @@ class Uncertain:
 
 
 @dataclass(frozen=True)
-class QualifiedFlights:
+class OpenTest:
+    """An undecided test: what drawn parameters and all else add to each of m flights at n samples, SI."""
+
+    kind: qualification.FlightKind
+    manoeuvre: str
+    output: str
+    tolerance: float
+    by_parameters: Float[np.ndarray, "m n"]
+    by_all_else: Float[np.ndarray, "m n"]
+
+    def slope(self, errors: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "k n"]:
+        """By which the part by the parameters follows their errors."""
+        sound = np.all(np.isfinite(self.by_parameters), axis=1)
+        return np.linalg.lstsq(errors[sound], self.by_parameters[sound], rcond=None)[0]
+
+    @property
+    def worst(self) -> int:
+        """The sample that most often leaves the band."""
+        total = np.nan_to_num(self.by_parameters + self.by_all_else, nan=np.inf)
+        return int(np.argmax(np.quantile(np.abs(total), qualification.PASSES_FROM, axis=0)))
+
+    def probability(self, change: Float[np.ndarray, "m n"] | float = 0.0) -> float:
+        """To pass, where the part by the parameters changes by this."""
+        flights = np.nan_to_num(self.by_parameters + change + self.by_all_else, nan=np.inf)
+        return float(np.mean(np.all(np.abs(flights) <= self.tolerance, axis=1)))
+
+
+class QualifiedFlights(NamedTuple):
     """`scattered`: whether the next flight has the scatter of the parameters; `undecided`: left open by them."""
 
-    tests: tuple[Test, ...]
-    strips: tuple[Strip, ...]
+    tests: tuple[qualification.Test, ...]
+    strips: tuple[qualification.Strip, ...]
     scattered: bool | None
-    undecided: tuple[OpenTest, ...] = ()
+    undecided: tuple[OpenTest, ...]
 
 
-@dataclass(frozen=True)
-class _Case:
-    """One manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain."""
-
-    kind: FlightKind
-    flown: SegmentTrajectories
-    row: int
-    draws: Float[np.ndarray, "m k"]
-    structure: Structure
+_Case = tuple[qualification.FlightKind, SegmentTrajectories, int, Float[np.ndarray, "m k"], Structure]
+"""A manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain."""
 
 
 def qualify(
@@ -180,19 +282,16 @@ def qualify(
     progress: Progress | None = None,
 ) -> QualifiedFlights:
     """Every test of every manoeuvre, fitted (`flown`) or not (`tests`); `bands`: half widths by output, SI."""
-    cases = _cases(flown, tests, unknown, seed)
-    judged: list[Test] = []
-    strips: list[Strip] = []
-    undecided: list[OpenTest] = []
+    cases, judged, strips = _cases(flown, tests, unknown, seed), list[qualification.Test](), list[qualification.Strip]()
+    undecided, scattered = list[OpenTest](), None
     for number, case in enumerate(cases):
-        if progress:
-            progress("flights", number / len(cases))
-        result, strip, still = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
-        judged += result
+        (progress or quiet)("flights", number / len(cases))
+        results, strip, still = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
+        judged += results
         strips.append(strip)
-        undecided += still if case.draws is unknown.draws else []
-    ahead = [case for case in cases if case.kind is FlightKind.NEXT]
-    scattered = ahead[0].draws is unknown.following if ahead else None
+        undecided += still if case[3] is unknown.draws else []
+        if case[0] is qualification.FlightKind.NEXT:
+            scattered = case[3] is unknown.following
     return QualifiedFlights(tuple(judged), tuple(strips), scattered, tuple(undecided))
 
 
@@ -210,7 +309,7 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
     def explained(draws: Float[np.ndarray, "m k"], *, gusts: bool = False) -> Float[np.ndarray, " c"]:
         parts = []
         for row, real in enumerate(flown.inside):
-            alone, few = flown.part([row]), draws[:EXPLAINING]
+            alone, few = flown.part([row]), draws[:DRAWS]
             apart = gust_spread(alone, few, unknown.gusts, rng) if gusts else spread(alone, unknown.estimate, few)
             parts.append(mean_square(apart[:, real]))
         return np.average(parts, axis=0, weights=flown.inside.sum(axis=1))
@@ -225,10 +324,13 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         taken = np.minimum(explained + by_gusts, most)
         return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), taken)
 
-    cases = [_Case(FlightKind.AGAIN, flown, k, unknown.draws, structure(fitted, own)) for k in range(len(flown.index))]
+    again = structure(fitted, own)
+    cases: list[_Case] = [
+        (qualification.FlightKind.AGAIN, flown, k, unknown.draws, again) for k in range(len(flown.index))
+    ]
     left_out = structure(held.errors, held.explained)
     if tests is not None:
-        cases += [_Case(FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
+        cases += [(qualification.FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
     if unknown.following is None and unknown.hold_out is None:
         return cases
     draws, ahead = unknown.draws, left_out
@@ -237,50 +339,206 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         shown = np.mean(held.errors[flown.inside] ** 2, axis=0)
         if np.median(scatter / np.maximum(shown, 1e-300)) <= 1.0 or unknown.hold_out is None:
             draws, ahead = unknown.following, structure(held.errors, scatter)
-    cases += [_Case(FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
+    cases += [(qualification.FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
     return cases
 
 
 def _judged(
     case: _Case, unknown: Uncertain, bands: Mapping[str, float], rng: np.random.Generator
-) -> tuple[list[Test], Strip, list[OpenTest]]:
+) -> tuple[list[qualification.Test], qualification.Strip, list[OpenTest]]:
     """Probabilities with more and more counted, the band of flights with all of it, and what is undecided."""
-    alone = case.flown.part([case.row])
+    kind, flown, row, draws, structure = case
+    alone = flown.part([row])
     (error,), (separated,), sound = errors(alone, unknown.estimate)
-    name, keep, outputs, dt = label(case.flown, case.row), alone.inside[0], alone.outputs, float(alone.dt[0])
+    name, keep, outputs, dt = label(flown, row), alone.inside[0], alone.outputs, float(alone.dt[0])
     if not sound[0]:
         raise InputError(
             f"the simulation of {name} with the estimates leaves the flight envelope, so there is nothing to compare; "
             "leave this record out"
         )
-    flights = by_parameters = spread(alone, unknown.estimate, case.draws)
+    flights = by_parameters = spread(alone, unknown.estimate, draws)
     chances, limits = {}, np.array([bands[n] for n in outputs])
     for counted in ("parameters", "structure", *(("gusts",) if unknown.gusts else ())):
         if counted == "structure":
-            recorded = error if case.kind is FlightKind.AGAIN else None
-            flights = flights + case.structure.draws(len(flights), separated, dt, rng, recorded)
+            recorded = error if kind is qualification.FlightKind.AGAIN else None
+            flights = flights + structure.draws(len(flights), separated, dt, rng, recorded)
         if counted == "gusts":
-            flights = flights + gust_spread(alone, case.draws, unknown.gusts, rng)
+            flights = flights + gust_spread(alone, draws, unknown.gusts, rng)
         inside = np.abs(np.nan_to_num(flights[:, keep], nan=np.inf)) <= limits
         passed = np.all(inside, axis=1).sum(axis=0)
-        chances[counted] = [Chance.of(int(k), len(flights)) for k in passed]
+        chances[counted] = [qualification.Chance.of(int(k), len(flights)) for k in passed]
     size, tests, still = np.abs(error[keep]), [], []
     rest = np.nan_to_num(flights - by_parameters, nan=np.inf)
     for c, output in enumerate(outputs):
-        beside = RecordBeside(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
+        beside = qualification.RecordBeside(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
         by = {counted: each[c] for counted, each in chances.items()}
-        shown = None if case.kind is FlightKind.NEXT else beside
-        tests.append(Test(case.kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
-        if tests[-1].chance.verdict is ToleranceVerdict.UNDECIDED:
+        shown = None if kind is qualification.FlightKind.NEXT else beside
+        tests.append(qualification.Test(kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
+        if tests[-1].chance.verdict is qualification.ToleranceVerdict.UNDECIDED:
             parts = by_parameters[:, keep, c], rest[:, keep, c]
-            still.append(OpenTest(case.kind, name, output, bands[output], *parts))
+            still.append(OpenTest(kind, name, output, bands[output], *parts))
     record, index = alone.flights, alone.index[0][keep]
     measured = {n: np.asarray(record.channels[n])[index] for n in outputs}
     simulated = {n: measured[n] - error[keep, c] for c, n in enumerate(outputs)}
     ends = np.quantile(np.nan_to_num(flights[:, keep], posinf=FAR, neginf=-FAR), CENTRAL, axis=0)
     low, high = ({n: simulated[n] + x[:, c] for c, n in enumerate(outputs)} for x in ends)
-    strip = Strip(case.kind, name, np.asarray(record.time)[index], measured, simulated, low, high)
+    strip = qualification.Strip(kind, name, np.asarray(record.time)[index], measured, simulated, low, high)
     return tests, strip, still
+
+
+# --- Flights that would decide tolerances: what more records make of the parameters, and so of the probability to
+# pass.
+# A record narrows the distribution of the parameters. A flight departs from the simulation in proportion to their
+# errors, so that its part by the parameters shrinks with them, and errors of the structure and gusts stay. A
+# tolerance that stays undecided with known parameters is decided by no record: the model must become better. It is
+# assumed that the estimates do not move.
+
+KEPT = 1e-10  # of the largest eigenvalue of a scaled covariance: directions below it are known
+
+
+def further_flights(
+    tests: Sequence[OpenTest],
+    names: Sequence[str],
+    errors: Float[np.ndarray, "m k"],
+    flights: Flights,
+    model: Model,
+    values: Mapping[str, float],
+    envelope: Envelope,
+) -> qualification.Further:
+    """Test points for the undecided tolerances, inside the envelope; `errors` of the drawn parameters `names`."""
+    scale = np.std(errors, axis=0)
+    moving = np.flatnonzero(scale > 0.0)
+    names, errors = [names[int(k)] for k in moving], errors[:, moving] / scale[moving]
+    slopes = [test.slope(errors) for test in tests]
+    known = [test.probability(-errors @ slope) for test, slope in zip(tests, slopes, strict=True)]
+    useful = [k for k, chance in enumerate(known) if not qualification.FAILS_TO < chance < qualification.PASSES_FROM]
+    first = np.cov(errors, rowvar=False).reshape(len(names), len(names))
+    worst = np.array([slopes[k][:, tests[k].worst] for k in useful]).reshape(-1, len(names))
+    worst = worst[np.einsum("ti,ij,tj->t", worst, first, worst) > 0.0]
+
+    def nats(information: Float[np.ndarray, "k k"]) -> float:
+        before, after = (np.einsum("ti,ij,tj->t", worst, C, worst) for C in (first, _after(first, information)))
+        return 0.5 * float(np.sum(np.log(before / np.maximum(after, 1e-300))))
+
+    def expected(information: Float[np.ndarray, "k k"]) -> tuple[float, ...]:
+        change = shrunk(errors, first, information) - errors
+        return tuple(test.probability(change @ slope) for test, slope in zip(tests, slopes, strict=True))
+
+    def decided(information: Float[np.ndarray, "k k"]) -> bool:
+        chances = expected(information)
+        return all(not qualification.FAILS_TO < chances[k] < qualification.PASSES_FROM for k in useful)
+
+    points, refused = (), {}
+    if useful:
+        missing = [n for n in required_of(model.axes) if n not in flights.channels]
+        if missing:
+            raise InputError(f"test points are judged by coefficients, and {missing[0]} was not recorded")
+        full = CandidateModel(model, tuple(e.name for e in model.effects if e.parameters), (), {})
+        state = linearised(full, EquationError.of(flights, model), model.coefficients, full.vector(values))
+        variants = variants_of(state, (), envelope)
+        possible = [
+            point._replace(information=precision_of(point.information, names, scale[moving]))
+            for point in possible_points(state, variants, (), noise_of(state), envelope)
+        ]
+        refused = refused_points(variants, envelope)
+        points = best_points(possible, np.zeros_like(first), nats=nats, expected=expected, decided=decided)
+    present = [test.probability() for test in tests]
+    questions = [
+        qualification.OpenTolerance(t.kind, t.manoeuvre, t.output, *x)
+        for t, *x in zip(tests, present, known, strict=True)
+    ]
+    return qualification.Further(tuple(questions), tuple(points), refused)
+
+
+def _after(first: Float[np.ndarray, "k k"], information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    return first - first @ information @ np.linalg.solve(np.eye(len(first)) + first @ information, first)
+
+
+def shrunk(errors: np.ndarray, first: np.ndarray, information: np.ndarray) -> Float[np.ndarray, "m k"]:
+    """Errors of covariance `first` as they are once this information is added."""
+
+    def root(covariance: np.ndarray) -> np.ndarray:
+        size, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+        return (vectors * np.sqrt(np.where(size > KEPT * max(size[-1], 0.0), size, 0.0))) @ vectors.T
+
+    return errors @ np.linalg.pinv(root(first)) @ root(_after(first, information))
+
+
+def precision_of(information: Information, names: Sequence[str], scale: Vector) -> Float[np.ndarray, "j j"]:
+    """Of a record by itself on scaled parameters, under coloured noise: I M^-1 I."""
+    at = [k for k, label in enumerate(information.labels) if label in names]
+    place = [list(names).index(information.labels[k]) for k in at]
+    unit = np.outer(scale[place], scale[place])
+    matrix, score = (x[np.ix_(at, at)] * unit for x in (information.matrix, information.score_variance))
+    whole = np.zeros((len(names), len(names)))
+    whole[np.ix_(place, place)] = matrix @ np.linalg.pinv(score, rcond=KEPT, hermitian=True) @ matrix
+    return whole
+
+
+# --- The same model fitted to all manoeuvres but one, and to each by itself: hold-out errors, and the next flight.
+
+USABLE = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
+NEGLIGIBLE = 1e-8  # eigenvalue of an information matrix over its largest
+
+
+def fits_without(fit: OutputErrorResult, noise: FlightNoise) -> list[OutputErrorResult]:
+    """For each manoeuvre the fit to all others."""
+    candidate = CandidateFit("qualified", fit)
+    silent = {candidate.name: {k: {} for k in range(len(fit.flown.index))}}
+    return [fit_without for _, fit_without in left_out([candidate], silent, noise)]
+
+
+def hold_out(wide: SegmentTrajectories, fits: list[OutputErrorResult], inflation: float, seed: int) -> HoldOut | None:
+    """Errors of every manoeuvre by the fit without it; None where one of these fits cannot fly it."""
+    unseen, explained = [], []
+    for k, fit in enumerate(fits):
+        alone = wide.part([k])
+        error, _, sound = errors(alone, fit.estimate)
+        if not sound[0]:
+            return None
+        draws = posterior_draws(fit, inflation, seed, DRAWS)
+        unseen.append(error[0])
+        explained.append(mean_square(spread(alone, fit.estimate, draws)[:, alone.inside[0]]))
+    return HoldOut(np.stack(unseen), np.average(explained, axis=0, weights=wide.inside.sum(axis=1)))
+
+
+def mean_square(apart: Float[np.ndarray, "m n c"]) -> Float[np.ndarray, " c"]:
+    """Of the flights that stay in the envelope; infinite where none does."""
+    sound = np.all(np.isfinite(apart), axis=(1, 2))
+    return np.mean(apart[sound] ** 2, axis=(0, 1)) if sound.any() else np.full(apart.shape[2], math.inf)
+
+
+def alone_fits(fit: OutputErrorResult, without: Sequence[OutputErrorResult], inflation: float):
+    """Every manoeuvre fitted by itself; of two, the fit without the other."""
+    count = len(fit.flown.index)
+    if count == 2:
+        return [without[1], without[0]]
+    options = {"start": fit.estimate, "prior_weight": inflation}
+    return [fit_output_error(masked(fit.flown, k, keep=True), **options) for k in range(count)]
+
+
+def next_parameters(
+    alone: Sequence[OutputErrorResult], inflation: float, count: int, seed: int, progress: Progress | None = None
+) -> Float[np.ndarray, "m k"] | None:
+    """Draws of the parameters of a flight not yet flown, by partial pooling; None with fewer than two usable fits."""
+    usable = [fit for fit in alone if fit.status in USABLE]
+    if len(usable) < 2:
+        return None
+    parameters, y, informations = usable[0].parameters, [], []
+    for fit in usable:  # the maximum of its likelihood and its information in units of the priors; none at a bound
+        unit = np.array([float(prior_unit(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
+        mean = np.array([p.prior.normal[0] for p in parameters])
+        free = np.array([p.name not in fit.at_bound for p in parameters], float)
+        information = fit.information * np.outer(unit * free, unit * free) / inflation
+        pulled = fit.priors.precision * unit**2 / inflation * (fit.estimate - mean) / unit * free
+        at = np.array([float(to_prior_units(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
+        y.append(at + np.linalg.pinv(information, rcond=NEGLIGIBLE, hermitian=True) @ pulled)
+        informations.append(information)
+    hierarchy = Hierarchy.of([p.name for p in parameters], np.stack(y), np.stack(informations))
+    following = pool(hierarchy, seed=seed, progress=progress)[0].following.reshape(-1, len(parameters))
+    kept = np.random.default_rng([seed, 11]).choice(len(following), count, replace=len(following) < count)
+    drawn = np.stack([from_prior_units(p.prior, following[kept, i]) for i, p in enumerate(parameters)], axis=1)
+    return np.clip(drawn, *np.array([p.bounds for p in parameters], float).T)
 
 
 # --- The flown region: the convex hull of flown samples, and how far another motion lies outside.
@@ -340,7 +598,7 @@ class Region:
 
     def outside(
         self, manoeuvre: str, kind: str, time: Float[np.ndarray, " m"], motion: Mapping[str, Float[np.ndarray, " m"]]
-    ) -> Outside | None:
+    ) -> qualification.Outside | None:
         """How far a motion leaves the region, SI; None where it does not by more than `NOTABLE`."""
         kept = np.unique(np.linspace(0, len(time) - 1, min(len(time), MOST_ASKED)).astype(int))
         offsets = self.offsets({n: np.asarray(motion[n])[kept] for n in self.channels})
@@ -350,4 +608,4 @@ class Region:
         worst = int(np.argmax(distance))
         excess = dict(zip(self.channels, map(float, offsets[worst] * self.scale), strict=True))
         share, when = float(np.mean(distance > NOTABLE)), float(time[kept[worst]] - time[0])
-        return Outside(manoeuvre, kind, self.channels, share, float(distance[worst]), when, excess)
+        return qualification.Outside(manoeuvre, kind, self.channels, share, float(distance[worst]), when, excess)

@@ -9,9 +9,10 @@ import wing_first
 from calling import validated
 from injected_effects import injected
 
-from bayes_aero.diagnosis import candidate_set
+from bayes_aero.diagnosis import selection_state
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
@@ -69,7 +70,11 @@ def test_sensor_errors_are_found_on_top_of_what_the_real_records_contain(attas_p
     hidden["alpha_scale"] = rng.uniform(0.05, 0.1)
     faulty = injected(records, {name: {name: size} for name, size in hidden.items()}, card, Cmde=-0.7)
     before, after = (
-        {p: s for c in diagnose(r, card, gains_wanted=False).causes for p, s in c.parameters.items()}
+        {
+            p: s
+            for c in diagnose(r, card, settings=DiagnosisSettings(gains=False)).causes
+            for p, s in c.parameters.items()
+        }
         for r in (records, faulty)
     )
     for name, size in hidden.items():
@@ -101,7 +106,9 @@ def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
 
     path = tmp_path / "found.py"
     write_effects(found.terms, [r.name for r in records], path)
-    again = diagnose(records, replace(card, effect_files=(path,)), seed=TERM_SEED, gains_wanted=False)
+    again = diagnose(
+        records, replace(card, effect_files=(path,)), seed=TERM_SEED, settings=DiagnosisSettings(gains=False)
+    )
     assert again.verdict is Verdict.EXPLAINED
     (cause,) = again.causes
     ((size,),) = [list(cause.parameters.values())]
@@ -112,7 +119,7 @@ def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
 def test_without_accelerometers_a_bump_is_found_in_flight_and_written(tmp_path, monkeypatch):
     """Of few effects, which compile sooner. The bump of Cm over alpha has a width of 0.03 rad."""
     few = ("thrust_moment", "pitch_rate_lift", "mach_drag", "alpha_bias")
-    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in few})
+    monkeypatch.setattr(selection_state, "CATALOGUE", {name: CATALOGUE[name] for name in few})
     rng = np.random.default_rng([501, 31])
     noise, (coefficient, name, values) = str(rng.choice(["white", "ar1", "buffet"])), unlisted_terms.draw(rng)
     assert (noise, coefficient, name) == ("white", "Cm", "exp")
@@ -166,7 +173,7 @@ def test_a_wing_that_stalls_first_is_found_alone_and_sized():
     """No aileron offset, centre of gravity aside, uneven engines or vane: those are candidates of the same record."""
     plane, records, size = wing_first.flown(0)
     chosen = [record for record in records if record.name in RECORDS]
-    found = diagnose(chosen, wing_first.card_of(plane), gains_wanted=False, process_noise=False)
+    found = diagnose(chosen, wing_first.card_of(plane), settings=DiagnosisSettings(gains=False, process_noise=False))
     assert alone(found, "wing_asymmetry", size, 0.01)["unexplained"] == []
     rivals = {*wing_first.CAUSES, *wing_first.NAMED.values()} - {"wing_asymmetry", *wing_first.NAMED}
     assert rivals <= {e.name for e in found.aerodynamics.state.full.candidates}
@@ -177,7 +184,7 @@ def test_uneven_engines_are_told_from_their_rivals_by_the_manoeuvres_that_are_pr
     """The rudder that holds them is at rest while ailerons move: its derivative, free on the card, takes them up."""
     plane, records, size = wing_first.flown(3)
     first, then = ([r for r in records if r.name in names] for names in (("aileron",), ("aileron", "stall_in_bank")))
-    found = diagnose(first, wing_first.card_of(plane), gains_wanted=False, process_noise=False)
+    found = diagnose(first, wing_first.card_of(plane), settings=DiagnosisSettings(gains=False, process_noise=False))
     assert found.verdict is Verdict.UNDECIDED
     assert found.causes == ()
     (taken_up,) = found.absorbed
@@ -188,7 +195,7 @@ def test_uneven_engines_are_told_from_their_rivals_by_the_manoeuvres_that_are_pr
     (question,) = proposed["questions"]
     assert {"rudder_yaw", "thrust_asymmetry", "yaw_offset"} <= set(question["effects"])
     assert proposed["points"][-1]["standard_errors"][0] >= question["enough"]
-    found = diagnose(then, wing_first.card_of(plane), gains_wanted=False, process_noise=False)
+    found = diagnose(then, wing_first.card_of(plane), settings=DiagnosisSettings(gains=False, process_noise=False))
     assert found.verdict is Verdict.EXPLAINED
     assert found.absorbed == ()
     alone(found, "thrust_asymmetry", size, 0.1)

@@ -20,7 +20,7 @@ from markupsafe import escape
 
 from bayes_aero.cli import app, main, terminal
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
-from bayes_aero.diagnosis.trajectories import WINDOW
+from bayes_aero.diagnosis.result import WINDOW
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
 from bayes_aero.flight import reading

@@ -15,8 +15,9 @@ import scipy.io
 from calling import answer, holds, succeeded
 
 import bayes_aero as ba
-from bayes_aero.diagnosis import candidate_set
+from bayes_aero.diagnosis import selection_state
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.health.channel import channel_health
 from bayes_aero.flight.reading import read_record
@@ -260,8 +261,10 @@ def test_a_missing_channel_leaves_its_axis_out_and_says_so(six_card, six_records
     assert len(said) == 1
     assert all(part in said[0] for part in ("CY, Cl, Cn", "fAttasAil1", "channel ay"))
     assert Model.from_card(own).coefficients == ("CL", "CD", "Cm")
-    monkeypatch.setattr(candidate_set, "CATALOGUE", {})  # what a diagnosis finds is not asked here
-    assert diagnose(fewer[:2], six_card, gains_wanted=False, process_noise=False).notes[0] == said[0]
+    monkeypatch.setattr(selection_state, "CATALOGUE", {})  # what a diagnosis finds is not asked here
+    assert (
+        diagnose(fewer[:2], six_card, settings=DiagnosisSettings(gains=False, process_noise=False)).notes[0] == said[0]
+    )
     plain = replace(six_card, effects=tuple(e for e in six_card.effects if e != "accel_y_bias"))
     assert on_recorded_axes(plain, [fewer[1]], OF_AXIS) == (plain, ())  # a simulation needs the axis's motion alone
 

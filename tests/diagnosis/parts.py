@@ -4,10 +4,9 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.flights import FlightNoise
 from bayes_aero.diagnosis.result import Cause, Gain, Size
-from bayes_aero.diagnosis.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.selection_state import CandidateModel, SelectionState, linearised
+from bayes_aero.diagnosis.trajectories import FlightNoise
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.effects import CATALOGUE

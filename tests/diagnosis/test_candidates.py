@@ -10,13 +10,18 @@ import pytest
 from lateral_flight import LATERAL_TRUTH, can_simulate, flown, three_axis_card, values
 from parts import fitted_to_stalls
 
-from bayes_aero.diagnosis.accuracy import LeftOut, confirmation, noise_effect, sizes, truncated
-from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, candidate_model
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS
-from bayes_aero.diagnosis.flights import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
 from bayes_aero.diagnosis.screening import screen
-from bayes_aero.diagnosis.selection import explained
-from bayes_aero.diagnosis.selection_state import SelectionState, linearised, refitted
+from bayes_aero.diagnosis.selection import LeftOut, confirmation, explained, noise_effect, sizes, truncated
+from bayes_aero.diagnosis.selection_state import (
+    DEFAULT,
+    CandidateModel,
+    SelectionState,
+    candidate_model,
+    linearised,
+    refitted,
+)
+from bayes_aero.diagnosis.trajectories import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
 from bayes_aero.effect import Kind, sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
@@ -159,7 +164,7 @@ def middle(name: str) -> dict[str, float]:
 def named(state: SelectionState) -> list[str]:
     """Of one screening: effects that explain enough, at a size worth a name; the most explaining first."""
     found = []
-    for one in screen(state, state.fit(), seed=0, nulls=False).candidate_scores:
+    for one in screen(state).candidate_scores:
         sizes = CATALOGUE[one.effect].sizes.values()
         large = any(abs(step) >= least for step, (least, _) in zip(one.step, sizes, strict=False))
         if large and explained(state, one) >= DEFAULT.least_share:
@@ -331,7 +336,7 @@ def with_added(card, model, records, added):
     mle = fit_mle(model, observe(records, card, model), seed=0)
     for name, value in zip(mle.names, mle.estimate, strict=True):
         theta[full.columns([name])[0]] = value
-    return refitted(linearised(full, EquationError.of(flights, full.model), NAMES, theta, tuple(added)))[0]
+    return refitted(linearised(full, EquationError.of(flights, full.model), NAMES, theta, tuple(added)))
 
 
 @pytest.mark.recovery
@@ -375,8 +380,8 @@ def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card, model):
         fit, truth = state.fit(), effects[name]["Cma2"]
         column = int(state.full.columns(["Cma2"])[0])
         plain.append(abs(state.theta[column] - truth))
-        freed.append(abs(sizes(state, fit)["Cma2"].mean - truth))
-        bias, spread = noise_effect(state, fit)
+        freed.append(abs(sizes(state)["Cma2"].mean - truth))
+        bias, spread = noise_effect(state)
         at = list(fit.columns).index(column)
         if abs(bias[at]) > spread[at]:  # else chance may decide the sign
             assert np.sign(bias[at]) == np.sign(state.theta[column] - truth)

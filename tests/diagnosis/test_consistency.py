@@ -12,8 +12,6 @@ from parts import part
 from stranger import flown
 from stranger_six import drawn, fly
 
-from bayes_aero.diagnosis.accuracy import filtered_channels, recording_noise
-from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency import (
     LIGHT_TURBULENCE,
     Blocks,
@@ -28,8 +26,8 @@ from bayes_aero.diagnosis.consistency import (
 )
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Size
-from bayes_aero.diagnosis.selection import Extension
-from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState
+from bayes_aero.diagnosis.selection import Extension, filtered_channels, recording_noise
+from bayes_aero.diagnosis.selection_state import CandidateModel, DiagnosisSettings, SelectionState
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import Agreement, Consistency, noise_of
@@ -435,14 +433,16 @@ def test_the_flight_path_is_selected_again_without_an_error_larger_than_sensors_
         return part(SelectionState, full=own, active=names[:2] if len(asked) == 1 else names[2:])
 
     def selected(state, **_):
-        no_fit, base = part(RegressionFit), part(SelectionState, active=())
+        base = part(SelectionState, active=())
         sizes = {"airspeed_scale": Size(-0.06, 0.01, "1"), "airspeed_bias": Size(10.7, 0.5, "m/s"),
                  "alpha_scale": Size(0.1, 0.01, "1")}  # fmt: skip
-        return Extension(base, no_fit, state, no_fit, (), sizes, state.active, ())
+        return Extension(base, state, (), sizes, state.active, ())
 
     for name, given in {
-        "linearised": linearised, "forward_selection": selected, "widened": lambda found, *_: found,
-        "nats_gained": lambda *_: gained, "without_hold": lambda one: {n: {} for n in one.state.active},
+        "linearised": linearised, "selected": selected, "widened": lambda found, *_: found,
+        "consistent_across_blocks": lambda found: found,
+        "with_several_instead": lambda found: found, "nats_gained": lambda *_: gained,
+        "without_hold": lambda one: {n: {} for n in one.state.active},
     }.items():  # fmt: skip
         monkeypatch.setattr(f"bayes_aero.diagnosis.consistency.{name}", given)
     monkeypatch.setattr(FlightPathError, "outputs", ("airspeed",))
@@ -487,7 +487,9 @@ def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_a
 @pytest.mark.verify
 def test_a_right_mach_number_beside_a_wrong_airspeed_leaves_the_lift_as_it_is(card):
     """CLa is 3.6, CD0 .045; moved with the airspeed, the Mach number would make CLa 3.78."""
-    found = diagnose([misread(card, pitot_pressure_bias=300.0, own_mach=True)], card, gains_wanted=False)
+    found = diagnose(
+        [misread(card, pitot_pressure_bias=300.0, own_mach=True)], card, settings=DiagnosisSettings(gains=False)
+    )
     assert {c.name for c in found.causes} == {"pitot_pressure_bias"}
     assert not found.minor
     assert not found.unknown
@@ -512,7 +514,7 @@ def test_a_boom_is_called_a_boom_and_a_lag_a_lag(card, name, true):
     size = found.sizes[name]
     assert abs(size.mean - true) < 3.0 * size.sd
     assert 1.96 * size.sd < 0.15 * true
-    judged = Blocks(found.state, found.fit)  # by stretches of the flights
+    judged = Blocks(found.state)  # by stretches of the flights
     assert size.sd >= 0.999 * np.sqrt(judged.judge(name)[1][0, 0])
     assert judged.p_value(name) < 1e-3
 

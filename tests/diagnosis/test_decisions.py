@@ -11,14 +11,11 @@ from parts import cause, part, with_candidates
 from scipy.special import erfc
 from scipy.stats import norm
 
-from bayes_aero.diagnosis import accuracy, consistency, result, unexplained
+from bayes_aero.diagnosis import consistency, result, unexplained
 from bayes_aero.diagnosis import diagnose as decided
 from bayes_aero.diagnosis import selection as selecting
-from bayes_aero.diagnosis.accuracy import LeftOut, backward_elimination, implausible
-from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import standard
-from bayes_aero.diagnosis.flights import left_out_of
 from bayes_aero.diagnosis.result import (
     Cause,
     Confirmation,
@@ -31,8 +28,9 @@ from bayes_aero.diagnosis.result import (
 )
 from bayes_aero.diagnosis.screening import ScreeningResult, autocorrelation_of, uncertainty
 from bayes_aero.diagnosis.search import SearchResult
-from bayes_aero.diagnosis.selection import Extension, cancelling
-from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, linearised
+from bayes_aero.diagnosis.selection import Extension, LeftOut, backward_elimination, cancelling, implausible
+from bayes_aero.diagnosis.selection_state import DEFAULT, CandidateModel, RegressionFit, SelectionState, linearised
+from bayes_aero.diagnosis.trajectories import left_out_of
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
@@ -149,12 +147,12 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
     else:
         monkeypatch.setattr(LeftOut, "first_order", lambda state, effects: LeftOut._of(state, left(effects)))
         monkeypatch.setattr(LeftOut, "refitted", lambda told: LeftOut._of(told[0], left(told[1])))
-        monkeypatch.setattr(accuracy, "truncated", lambda state, effects: (state, effects))
+        monkeypatch.setattr(selecting, "truncated", lambda state, effects: (state, effects))
         responses = SimpleNamespace(
             model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), kinematic=compared == "flight path",
             flights=SimpleNamespace(lengths=(100, 100)),
         )  # fmt: skip
-        found = accuracy.confirmation(part(
+        found = selecting.confirmation(part(
             SelectionState, responses=responses, outputs=outputs, folds=(slice(0, 100), slice(100, n)),
             variance_inflation=2.0, active=("rudder_moment",), full=part(CandidateModel, settings=DEFAULT),
             theta=np.zeros(0), S=np.zeros((n, 3, 1)), noise_growth=np.ones((n, 3)),
@@ -185,7 +183,7 @@ def searched(*names: str, forms: Mapping[str, tuple[str, float]] | None = None, 
         CandidateModel, candidates=tuple(CATALOGUE[n] for n in names), not_testable=not_testable, settings=DEFAULT
     )
     one = part(
-        Extension, state=part(SelectionState, active=names), fit=None, causes=names, minor=(), steps=(),
+        Extension, state=part(SelectionState, active=names), causes=names, minor=(), steps=(),
         sizes={p: x for n in names for p, x in cause(n).parameters.items()},
     )  # fmt: skip
     return part(SearchResult, full=full, stages={"coefficients": one}, forms=forms or {})
@@ -201,8 +199,9 @@ def stated(monkeypatch):
             "gains_of": {}, "rival_gains": {}, "noise_shares": dict.fromkeys(CATALOGUE, 0.0),
         }.items():  # fmt: skip
             given = values.get(name, value)
-            monkeypatch.setattr(decided, name, given if callable(given) else lambda *_, given=given, **__: given)
-        monkeypatch.setattr(decided, "confirmation", lambda _: values["confirmation"])
+            where = decided if hasattr(decided, name) else selecting
+            monkeypatch.setattr(where, name, given if callable(given) else lambda *_, given=given, **__: given)
+        monkeypatch.setattr(selecting, "confirmation", lambda _: values["confirmation"])
 
     return state
 
@@ -211,7 +210,7 @@ def decided_on(stated, diagnosed, forms=None, **values):
     """A cause that held-out flights miss, kept by stage, a diagnosis of it alone, and what is said of it."""
     values = {"gains_of": {"thrust_scale": cause().gain}} | values
     stated(confirmation=Confirmation(("thrust_scale",), {"thrust_scale": (40.0, 5.0)}), **values)
-    ((found,), kept, _) = decided._confirmed(searched("thrust_scale", forms=forms), None)
+    ((found,), kept, _) = decided._confirmed(searched("thrust_scale", forms=forms), lambda *_: None)
     d = replace(diagnosed.view.diagnosis, causes=(found,), beyond=())
     return found, kept, d, next(s for s in diagnosis_sentences(d) if s.startswith("thrust_scale: "))
 
@@ -317,7 +316,7 @@ def test_an_offset_between_manoeuvres_is_told_only_beyond_chance(monkeypatch, de
         "moved": lambda *_, **__: part(SelectionState, apart=()),
         "screen": lambda *_, **__: part(ScreeningResult, candidate_scores=()), "uncertainty": lambda *_: np.eye(2),
     }.items():  # fmt: skip
-        monkeypatch.setattr(unexplained, name, given)
+        monkeypatch.setattr(unexplained if name == "moved" else unexplained.screening, name, given)
     found = unexplained.offsets_found(part(Extension, state=state))
     assert [(one.coefficient, one.channel) for one in found] == ([("Cm", "manoeuvre")] if told else [])
     for one in found:
@@ -417,8 +416,7 @@ def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_
         full = part(CandidateModel, candidates=tuple(CATALOGUE[n] for n in ("alpha_dot_lift", "mach_drag")))
         base, state = (part(SelectionState, full=full, active=names) for names in ((), active))
         sizes = {"CLadot": Size(size, 20.0, "1"), "CDM": Size(0.1, 0.01, "1")}
-        no_fit = part(RegressionFit)
-        return Extension(base, no_fit, state, no_fit, (), sizes, active, ())
+        return Extension(base, state, (), sizes, active, ())
 
     asked: list[tuple[str, ...]] = []
     given = [of(-42.9, "alpha_dot_lift", "mach_drag"), of(0.0)]
@@ -427,7 +425,8 @@ def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_
         asked.append(tuple(barred))
         return given[len(asked) - 1]
 
-    monkeypatch.setattr(selecting, "forward_selection", once)
+    monkeypatch.setattr(selecting, "selected", once)
+    monkeypatch.setattr(selecting, "sized", lambda found: found)
     found = selecting.plausible_selection(given[0].base)
     assert asked == [(), ("alpha_dot_lift",)]
     assert found.state.active == ()
@@ -490,8 +489,7 @@ def on(both, flights, values) -> Extension:
     theta = both.theta.copy()
     theta[both.full.columns(list(values))] = list(values.values())
     state = linearised(both.full, EquationError.of(flights, model), NAMES, theta, PAIR)
-    fit = state.fit()
-    return Extension(state, fit, state, fit, (), {}, PAIR, ())
+    return Extension(state, state, (), {}, PAIR, ())
 
 
 def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
@@ -506,9 +504,9 @@ def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
     assert pair.factor == pytest.approx(1.0, abs=0.1)
     # Of a combination with correlation near -1 little is left of either deviation: closed form of a sum's variance.
     columns = found.state.full.columns(["CLq", "CLadot"])
-    colour = autocorrelation_of(found.state.left(found.fit), found.state.folds)
-    at = [int(np.flatnonzero(found.fit.columns == c)[0]) for c in columns]
-    C = uncertainty(found.state, found.fit, colour)[np.ix_(at, at)]
+    colour = autocorrelation_of(found.state.left(), found.state.folds)
+    at = [int(np.flatnonzero(found.state.best.columns == c)[0]) for c in columns]
+    C = uncertainty(found.state, colour)[np.ix_(at, at)]
     assert pair.sd**2 == pytest.approx(C[0, 0] + 2 * pair.factor * C[0, 1] + pair.factor**2 * C[1, 1])
     assert pair.sd < 0.1 * np.sqrt(C[0, 0])
     turn = on(both, flown["bank_to_bank"], {"CLq": 19.6, "CLadot": -18.2})
@@ -516,7 +514,7 @@ def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
     assert not cancelling(on(both, doublet, {"CLq": 4.0, "CLadot": 2.0}), PAIR)  # nothing cancels
     # Closed form: what a regression on the others leaves of the effect's sensitivity, over its spread.
     found = on(both, both.responses.flights, {"CLq": 4.0})
-    state, fit = found.state, found.fit
+    state, fit = found.state, found.state.best
     own = int(state.full.columns(["CLq"])[0])
     weighed = state.scaled[state.inside] / np.sqrt(fit.variance)[:, None]
     S = weighed.reshape(-1, state.S.shape[2])
@@ -524,8 +522,8 @@ def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
     scale = np.sqrt(np.sum(others**2, axis=0))
     left = x - (others / scale) @ np.linalg.lstsq(others / scale, x, rcond=None)[0]
     spread = np.sum((weighed[:, :, own] - weighed[:, :, own].mean(axis=0)) ** 2)
-    assert decided.own_share(state, fit, "pitch_rate_lift") == pytest.approx(left @ left / spread, rel=1e-3)
-    assert np.isnan(decided.own_share(state, fit, "sideslip_drag"))  # not in
+    assert decided.own_share(state, "pitch_rate_lift") == pytest.approx(left @ left / spread, rel=1e-3)
+    assert np.isnan(decided.own_share(state, "sideslip_drag"))  # not in
 
 
 @pytest.mark.parametrize(("left", "verdict"), [(1.2, Verdict.PARTLY_EXPLAINED), (0.3, Verdict.EXPLAINED)])

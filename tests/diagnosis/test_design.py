@@ -12,8 +12,7 @@ from parts import with_candidates
 from stranger_six import Plane
 
 from bayes_aero.diagnosis import design
-from bayes_aero.diagnosis.candidate_set import ENOUGH, CandidateModel
-from bayes_aero.diagnosis.selection_state import linearised
+from bayes_aero.diagnosis.selection_state import ENOUGH, CandidateModel, linearised
 from bayes_aero.dynamics.pilot import commands
 from bayes_aero.dynamics.trim import Trim, trimmed
 from bayes_aero.effects import CATALOGUE
@@ -38,14 +37,15 @@ from bayes_aero.simulate.demo import TRUTH
 # Which standard manoeuvre tells which effects apart
 def deviations(state, effects, flights, sizes=MappingProxyType({})):
     """By manoeuvre, and under "records" of the records alone: deviations of each ordered pair of effects."""
-    chosen, noise = design.candidates_of(state, effects), design.noise_of(state)
-    records = design.of_records(state, chosen, noise)
-    present, own = records.information(), design.signals_of(records.state, chosen, design.worth_of(chosen, sizes))
+    candidates, noise = {e.name: e for e in state.full.model.effects}, design.noise_of(state)
+    chosen = [candidates[name] for name in effects]
+    records = design.on_record(state, chosen, noise)
+    present, own = design.information_of(records, noise), design.signals_of(records, chosen, sizes)
     found = {"records": present.deviations(own)}
-    for name, record in flights.flown.items():
+    for name in flights.flown:
         if name not in design.NOT_BY_HAND:
-            there = design.on_record(state, flights.model, record, flights.theta, chosen, noise)
-            found[name] = (present + there.information()).deviations(own)
+            there = design.on_record(state, chosen, noise, flights, name)
+            found[name] = (present + design.information_of(there, noise)).deviations(own)
     return found
 
 
@@ -138,13 +138,6 @@ def test_trim_is_level_flight_and_commands_begin_there(state):
         for x, y in zip(moving, half[name], strict=True):
             assert x[0] == 0.0
             assert np.allclose(0.5 * x, y)
-
-
-def test_sets_of_one_effect_or_of_no_candidate_are_refused(state):
-    with pytest.raises(InputError, match="at least two"):
-        design.candidates_of(state, ("thrust_scale",))
-    with pytest.raises(InputError, match="buffet"):
-        design.candidates_of(state, ("thrust_scale", "buffet"))
 
 
 # Which standard manoeuvre tells which lateral effects apart: flown in six degrees of freedom
@@ -266,20 +259,25 @@ def test_information_of_two_records_is_the_sum_of_each_after_its_own_offsets(poi
     """An offset of a flight-path output takes the mean out of each manoeuvre; coefficients have none."""
     noise, effects = design.noise_of(point_state), [CATALOGUE[name] for name in POINT_CANDIDATES]
     theta = dict(zip(point_state.full.model.names, map(float, point_state.theta), strict=True))
-    flown = design.on_record(point_state, point_state.full.model, point_state.responses.flights, theta, effects, noise)
-    told, manoeuvre = flown.information(), flown.state.responses.manoeuvre
-    at = [flown.state.full.model.names.index(label) for label in told.labels]
+    again = design.Standard(
+        point_state.full.model, theta, {"again": point_state.responses.flights}, {}, {}, {}, 80.0, 0.0, 1.0
+    )
+    flown = design.on_record(point_state, effects, noise, again, "again")
+    told, manoeuvre = design.information_of(flown, noise), flown.responses.manoeuvre
+    at = [flown.full.model.names.index(label) for label in told.labels]
     expected = np.zeros_like(told.matrix)
     for part in (0, 1):
-        for c, name in enumerate(flown.state.outputs):
-            S = flown.state.scaled[manoeuvre == part][:, c, at]
+        for c, name in enumerate(flown.outputs):
+            S = flown.scaled[manoeuvre == part][:, c, at]
             S = S if name in NAMES else S - S.mean(axis=0)
-            expected += S.T @ S / flown.noise.variance[c]
+            expected += S.T @ S / noise.variance[c]
     np.testing.assert_allclose(told.matrix, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
-    present = design.of_records(point_state, effects, noise).information()  # what the state knows already
+    present = design.information_of(
+        design.on_record(point_state, effects, noise), noise
+    )  # what the state knows already
     assert present.labels == told.labels
     np.testing.assert_allclose(present.matrix, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
-    first = flown.information(float(np.sum(manoeuvre == 0)) * flown.state.responses.seconds)
+    first = design.information_of(flown, noise, float(np.sum(manoeuvre == 0)) * flown.responses.seconds)
     assert np.all(np.diag(first.matrix) <= np.diag(told.matrix) * (1.0 + 1e-9))
 
 
@@ -292,7 +290,7 @@ def test_points_decide_what_the_records_leave_open_inside_the_envelope(chosen, p
     for point in chosen.points:
         assert all(b >= a - 1e-9 for a, b in zip(previous, point.expected, strict=True))
         previous = point.expected
-    assert chosen.expected[place] >= ENOUGH
+    assert chosen.points[-1].expected[place] >= ENOUGH
     assert "computer" in chosen.refused["multisine"]
     found = design.next_test_points(point_state, {RATE_SET: SETS[RATE_SET]}, Envelope(programmed_inputs=True))
     assert "multisine" not in found.refused

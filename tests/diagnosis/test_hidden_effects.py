@@ -13,15 +13,20 @@ from stranger import HIDDEN, Recorder, flown
 from stranger_six import Fighter, Plane, drawn, fly
 
 from bayes_aero.diagnosis import search as stages
-from bayes_aero.diagnosis.accuracy import integrated_deviance
-from bayes_aero.diagnosis.candidate_set import DEFAULT, candidate_model, manoeuvres
+from bayes_aero.diagnosis.components import ChangeScan, Span, spans
 from bayes_aero.diagnosis.consistency import Blocks, check_sensors, screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose, rivals_of
 from bayes_aero.diagnosis.result import COEFFICIENTS, TRAJECTORIES, Size, Verdict
 from bayes_aero.diagnosis.search import search_in_stages
-from bayes_aero.diagnosis.selection import noise_shares
-from bayes_aero.diagnosis.selection_state import Products, moved
-from bayes_aero.diagnosis.unexplained import ChangeScan, Span, spans
+from bayes_aero.diagnosis.selection import integrated_deviance, noise_shares
+from bayes_aero.diagnosis.selection_state import (
+    DEFAULT,
+    DiagnosisSettings,
+    Products,
+    candidate_model,
+    manoeuvres,
+    moved,
+)
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
@@ -51,7 +56,7 @@ def verify(*rows):
 ])  # fmt: skip
 def test_a_hidden_effect_is_named_with_its_size_and_no_parameter_changes(name, seed, card):
     effects, flights = flyable([name], seed=seed, noise="ar1", seconds=90.0)
-    found = diagnose([flight.record for flight in flights], card, seed=seed, gains_wanted=False)
+    found = diagnose([flight.record for flight in flights], card, seed=seed, settings=DiagnosisSettings(gains=False))
     (cause,) = found.causes
     assert cause.name == name
     assert not found.changes
@@ -68,7 +73,12 @@ def test_a_hidden_effect_is_named_with_its_size_and_no_parameter_changes(name, s
     (4202, "ar1"), *verify((141128, "buffet"), (4201, "white"), (4203, "buffet"), (4204, "outliers")),
 ])  # fmt: skip
 def test_nothing_is_found_where_nothing_is_hidden(seed, noise, card):
-    found = diagnose(hidden_records({}, seed=seed, noise=noise, seconds=90.0), card, seed=seed, gains_wanted=False)
+    found = diagnose(
+        hidden_records({}, seed=seed, noise=noise, seconds=90.0),
+        card,
+        seed=seed,
+        settings=DiagnosisSettings(gains=False),
+    )
     assert found.verdict is Verdict.NO_EFFECT, [c.name for c in found.causes]
     assert not found.changes
     assert "spoiler_lift" in found.not_testable
@@ -85,7 +95,7 @@ def test_white_noise_is_not_called_coloured(diagnosed):
 @pytest.mark.parametrize("seed", [4301, pytest.param(4302, marks=pytest.mark.verify)])
 def test_a_hidden_wave_is_called_unexplained_by_its_period(seed, card):
     flights = hidden_flights({}, seed=seed, noise="ar1", beyond=unknown("periodic"), seconds=90.0)
-    found = diagnose([flight.record for flight in flights], card, seed=seed, gains_wanted=False)
+    found = diagnose([flight.record for flight in flights], card, seed=seed, settings=DiagnosisSettings(gains=False))
     assert found.verdict is Verdict.UNEXPLAINED, [c.name for c in found.causes]
     waves = [u for u in found.unknown if u.channel.startswith("time, period")]
     assert waves, found.unknown
@@ -121,7 +131,12 @@ def test_what_a_stranger_hides_is_named_with_its_size_and_nothing_else(tmp_path,
     """A random aircraft's two records, read from CSV and diagnosed."""
     p, size, files = flown(tmp_path, np.random.default_rng(seed), name, gusts, recorder)
     card = read_card(str(tmp_path / "card.toml"))
-    found = diagnose([read_record(path, card.channels) for path in files], card, seed=int(seed), gains_wanted=False)
+    found = diagnose(
+        [read_record(path, card.channels) for path in files],
+        card,
+        seed=int(seed),
+        settings=DiagnosisSettings(gains=False),
+    )
     if name is None:
         assert not found.unknown
         assert {cause.name for cause in found.causes} <= ({"vertical_wind"} if gusts else set())
@@ -149,7 +164,7 @@ def test_a_linear_model_is_extended_to_the_stall_that_was_flown(card):
     seed = int(np.random.default_rng(611).integers(1_000_000))
     flights = hidden_flights({}, seed=seed, noise="ar1", seconds=90.0)
     records, truth = [flight.record for flight in flights], flights[0].values
-    found = diagnose(records, card, model=Model.of(LINEAR), seed=seed, gains_wanted=False)
+    found = diagnose(records, card, model=Model.of(LINEAR), seed=seed, settings=DiagnosisSettings(gains=False))
     assert {cause.name for cause in found.causes} == STALL
     assert found.causes[0].name == "flow_separation"
     for cause in found.causes:
@@ -186,7 +201,7 @@ def test_a_wrong_form_of_the_coefficients_is_no_stall_and_no_camber(tmp_path, fe
     rng = np.random.default_rng([1, 54])
     records, card = polynomial_fighter(tmp_path, Fighter(), plan, rng, 10.0, "longitudinal")
     shown = records if felt else [without_accelerometers(r) for r in records]
-    found = diagnose(shown, card, seed=1, gains_wanted=False, process_noise=False)
+    found = diagnose(shown, card, seed=1, settings=DiagnosisSettings(gains=False, process_noise=False))
     assert found.compared == (COEFFICIENTS if felt else TRAJECTORIES)
     assert not found.causes
     assert {term.coefficient for term in found.terms} == {"CL", "CD", "Cm"}
@@ -208,7 +223,7 @@ def test_no_cause_is_sure_that_a_form_of_a_nonlinear_fighter_explains_as_well(se
     plan = [(speed, kind) for speed in ((150.0, 100.0) if few else (190.0, 140.0, 110.0, 90.0)) for kind in kinds]
     axes = ("longitudinal", "lateral") if six else ("longitudinal",)
     records, card = polynomial_fighter(tmp_path, plane, plan, rng, 8.0 if few else 10.0, *axes)
-    found = diagnose(records, card, seed=seed, gains_wanted=False, process_noise=False)
+    found = diagnose(records, card, seed=seed, settings=DiagnosisSettings(gains=False, process_noise=False))
     assert not [c.name for c in found.causes if c.sure and c.name not in FORMS and not c.ambiguous_with]
     assert {one.coefficient for one in (*found.terms, *found.unknown)} >= {"CL", "Cm"}
     if seed == 3:
@@ -242,8 +257,8 @@ def test_the_gain_is_the_bayes_factor_under_the_other_fold_s_posterior():
         expected += before - after
     found = 0.0
     for fold in (0, 1):
-        with_it = integrated_deviance(products, fold, (np.array([0, 1]), nothing), prior, 1.0)
-        found += integrated_deviance(products, fold, (nothing, nothing), prior, 1.0) - with_it
+        with_it = integrated_deviance(products, prior, 1.0, fold, np.array([0, 1]), nothing)
+        found += integrated_deviance(products, prior, 1.0, fold, nothing, nothing) - with_it
     assert found == pytest.approx(expected, rel=0.02)
 
 
@@ -256,7 +271,7 @@ def test_what_a_stall_and_a_multistep_show_is_named(card):
         synthetic(Request(hidden, seed=53600 + 50 * k, manoeuvre=name, **more), card, CATALOGUE, name=name).record
         for k, (name, more) in enumerate(asked.items())
     ]
-    found = diagnose(records, card, seed=536, gains_wanted=False, process_noise=False)
+    found = diagnose(records, card, seed=536, settings=DiagnosisSettings(gains=False, process_noise=False))
     (cause,) = found.causes
     size = cause.parameters["CLadot"]
     assert cause.name == "alpha_dot_lift"
@@ -283,7 +298,7 @@ def set_between(seed: int):
 def test_what_is_set_between_manoeuvres_is_an_offset_and_no_cause(tmp_path):
     planes, records = set_between(2)
     card = six_axes.card_in(tmp_path, Plane(**six_axes.ATTACHED), six_axes.LONGITUDINAL, ("longitudinal",))
-    found = diagnose(records, card, seed=1, gains_wanted=False, process_noise=False)
+    found = diagnose(records, card, seed=1, settings=DiagnosisSettings(gains=False, process_noise=False))
     assert found.verdict is Verdict.UNEXPLAINED
     assert not found.causes
     assert not found.terms
@@ -340,13 +355,13 @@ def searched(tmp_path, seed, times, left_out=None, scale=1.0):
 def test_noise_of_the_regressors_is_no_error_of_a_sensor(tmp_path, seed, times, left_out, scale, causes):
     """r_dot, which is recorded well, then tells more of sideslip and rudder than their own channels: a lateral
     accelerometer 2 to 3 m away, were it believed. With the usual noise the missing effect is named."""
-    found = searched(tmp_path, seed, times, left_out, scale)
-    assert found.aerodynamics.causes == causes
+    sensors, aerodynamics, _ = searched(tmp_path, seed, times, left_out, scale)
+    assert aerodynamics.causes == causes
     if scale == 1.0:
-        assert found.sensors is not None
-        assert found.sensors.causes == ()
+        assert sensors is not None
+        assert sensors.causes == ()
     else:
-        size = found.aerodynamics.sizes["accel_y_scale"]
+        size = aerodynamics.sizes["accel_y_scale"]
         assert abs(size.mean + 0.15) < 1.96 * size.sd
 
 
@@ -354,8 +369,8 @@ def test_noise_of_the_regressors_is_no_error_of_a_sensor(tmp_path, seed, times, 
 @pytest.mark.parametrize("seed", [1, 3])
 def test_what_outdoes_its_rival_by_less_noise_alone_is_not_named_alone(tmp_path, seed):
     """With three times the noise an accelerometer 2 m away explains more than the missing effect of the rudder."""
-    found = searched(tmp_path, seed, 3.0, "rudder_side_force").aerodynamics
-    noise = noise_shares(found.state, found.fit)
+    found = searched(tmp_path, seed, 3.0, "rudder_side_force")[1]
+    noise = noise_shares(found.state)
     for name in found.causes:
         assert "rudder_side_force" in (name, *rivals_of(found, name, noise=noise[name])[1])
 
@@ -375,12 +390,12 @@ def test_stretches_take_a_wrong_correction_back_and_scatter_by_their_own_estimat
     theta, wrong = state.theta.copy(), 0.2
     theta[state.full.columns(["accel_z_bias"])] += wrong
     state = moved(state, theta, tuple(dict.fromkeys((*state.active, name))))  # chance may have it in, too small to tell
-    (step,), ((variance,),) = Blocks(state, state.fit()).judge(name)
+    (step,), ((variance,),) = Blocks(state).judge(name)
     left = wrong + state.fit().step[list(state.fit().columns).index(state.full.columns(["accel_z_bias"])[0])]
     assert abs(left) < 0.1 * wrong
     assert abs(step) < 5.0 * np.sqrt(variance) + 0.1 * wrong
     # For an effect with equal information in every stretch: the standard error of the mean of estimates.
-    judged = Blocks(found.base, found.base_fit)
+    judged = Blocks(found.base)
     assert judged.freedom == 2 * round(90.0 / DEFAULT.block) - 1
     name = "pitch_rate_bias"
     step, covariance = judged.judge(name)
@@ -410,10 +425,10 @@ def test_the_coefficients_deny_a_correction_that_harms_them(silent, card, monkey
         theta[state.full.columns(["airspeed_bias"])] = 2.0
         state = moved(state, theta, tuple(dict.fromkeys((*state.active, name))))
         sizes = {**found.sizes, name: Size(2.0, 0.1, "m/s")}
-        return replace(found, state=state, fit=state.fit(), sizes=sizes, causes=(name,))
+        return replace(found, state=state, sizes=sizes, causes=(name,))
 
     monkeypatch.setattr(stages, "check_sensors", wrong)
-    found = diagnose(silent, card, gains_wanted=False)
+    found = diagnose(silent, card, settings=DiagnosisSettings(gains=False))
     assert found.verdict is Verdict.NO_EFFECT, [c.name for c in found.causes]
     assert any("airspeed_bias" in note for note in found.notes)
 
@@ -496,7 +511,7 @@ def test_a_slope_that_noise_of_the_vane_attenuates_is_no_change(seed, tmp_path):
     rng = np.random.default_rng(seed)
     plane = Plane() if seed == 9 else drawn(rng)
     records = [six_axes.record(k, fly(plane, k, rng, seconds=20.0), rng) for k in ("elevator", "aileron", "rudder")]
-    found = diagnose(records, six_axes.card_in(tmp_path, plane), seed=seed, gains_wanted=False)
+    found = diagnose(records, six_axes.card_in(tmp_path, plane), seed=seed, settings=DiagnosisSettings(gains=False))
     assert found.verdict is Verdict.NO_EFFECT
     assert not found.changes
 
@@ -512,7 +527,7 @@ def test_a_slope_that_noise_of_the_vane_attenuates_is_no_change(seed, tmp_path):
 def test_a_parameter_that_changes_is_found_with_its_time_and_size(name, size, seed, noise, card):
     """Cm0 as a stuck tab or half a degree of elevator changes it; CLaM at Mach 0.3 as ice takes 5 % of the lift."""
     records = changed(name, size, seed=seed, noise=noise, seconds=90.0)
-    found = diagnose(records, card, seed=seed, gains_wanted=False)
+    found = diagnose(records, card, seed=seed, settings=DiagnosisSettings(gains=False))
     assert found.verdict is Verdict.UNEXPLAINED
     assert not found.causes
     (change,) = found.changes

@@ -14,12 +14,11 @@ from calling import called
 from gusty_flight import LENGTH, NOISE, TRUTH, gusty_flight
 from parts import without_accelerometers
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.components import QUANTITIES, SEPARATED, library
 from bayes_aero.diagnosis.result import FoundTerm, ProductTerm
-from bayes_aero.diagnosis.selection import forward_selection
-from bayes_aero.diagnosis.selection_state import linearised
-from bayes_aero.diagnosis.terms import flown_forms
+from bayes_aero.diagnosis.selection import plausible_selection
+from bayes_aero.diagnosis.selection_state import CandidateModel, linearised
+from bayes_aero.diagnosis.unexplained import flown_forms
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.kalman import filter_segments
 from bayes_aero.dynamics.segments import segments
@@ -340,7 +339,7 @@ def begun(responses, theta):
 def test_a_hidden_term_is_found_and_its_silent_twin_has_none(hfb320, fly, size):
     """By the library, in two flights."""
     found, silent = (
-        flown_forms(forward_selection(begun(*fly(hfb320, truth)), seed=1), seed=2) for truth in ({"Cma2": size}, {})
+        flown_forms(plausible_selection(begun(*fly(hfb320, truth)), seed=1), seed=2) for truth in ({"Cma2": size}, {})
     )
     (term,) = found.terms
     assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")

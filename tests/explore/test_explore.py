@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 from scipy.stats import norm
 
-from bayes_aero.diagnosis.flights import fly_given
+from bayes_aero.diagnosis.trajectories import fly_given
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import (
     Choice,

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter1d
 from stranger import fly as flown
 from stranger import plane
 
-from bayes_aero.diagnosis.candidate_set import DEFAULT, too_short
+from bayes_aero.diagnosis.selection_state import DEFAULT, too_short
 from bayes_aero.dynamics.flight import path_states
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health.channel import channel_health, frozen, interpolated_period, saturated

@@ -21,8 +21,8 @@ from linear_cards import (
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.result import FITTED
+from bayes_aero.diagnosis.selection_state import candidate_model
 from bayes_aero.dynamics.flight import aircraft_dynamics, linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import integrate

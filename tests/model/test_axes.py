@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
+from bayes_aero.diagnosis.selection_state import CandidateModel, candidate_model
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.candidate_set import candidate_model
+from bayes_aero.diagnosis.selection_state import candidate_model
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.pilot import FlightState, Plant, fly_standard
 from bayes_aero.dynamics.trim import Condition

@@ -15,9 +15,20 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import FLIGHT, Envelope
-from bayes_aero.qualification.flights import HoldOut, OpenTest, _Linear, _precision, _shrunk, further_flights
-from bayes_aero.qualification.qualify import BLOCK_SECONDS, Region, Structure, Uncertain, nearest, qualify
-from bayes_aero.qualification.result import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
+from bayes_aero.qualification import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
+from bayes_aero.qualification.qualify import (
+    BLOCK_SECONDS,
+    HoldOut,
+    OpenTest,
+    Region,
+    Structure,
+    Uncertain,
+    further_flights,
+    nearest,
+    precision_of,
+    qualify,
+    shrunk,
+)
 from bayes_aero.report.pages.qualification import further_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
@@ -261,8 +272,8 @@ def constant_error(rng, sd=1.0):
 def test_the_probability_with_more_information_is_that_of_a_narrower_normal(told, rest):
     """sd^2 = 1/(1 + told) + rest^2, and P = 2 Phi(2/sd) - 1; what is known of another parameter changes nothing."""
     errors, test = constant_error(np.random.default_rng(3), rest)
-    one, first = _Linear.of(test, errors), np.cov(errors, rowvar=False)
-    found = one.probability(errors, _shrunk(errors, first, np.diag(told)))
+    less = shrunk(errors, np.cov(errors, rowvar=False), np.diag(told))
+    found = test.probability((less - errors) @ test.slope(errors))
     sd = np.sqrt(1.0 / (1.0 + told[0]) + rest**2)
     assert found == pytest.approx(2.0 * norm.cdf(2.0 / sd) - 1.0, abs=0.01)
 
@@ -276,7 +287,7 @@ def test_a_record_s_precision_is_that_of_its_own_estimates():
     bread = np.linalg.inv(X.T @ X)
     scale = np.array([2.0, 0.5])
     own = np.linalg.inv(bread @ X.T @ V @ X @ bread)[::-1, ::-1] * np.outer(scale, scale)
-    np.testing.assert_allclose(_precision(told, ("a", "b"), scale), own, rtol=1e-9)
+    np.testing.assert_allclose(precision_of(told, ("a", "b"), scale), own, rtol=1e-9)
 
 
 @pytest.fixture(scope="module")

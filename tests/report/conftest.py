@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from simulated_halves import halves
 
-from bayes_aero.diagnosis.view import with_stalls
+from bayes_aero.diagnosis.diagnose import with_stalls
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.gp import GPFit

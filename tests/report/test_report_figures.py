@@ -9,9 +9,9 @@ from calling import holds
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from bayes_aero.diagnosis.accuracy import sizes
+from bayes_aero.diagnosis.diagnose import with_stalls
 from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
-from bayes_aero.diagnosis.view import with_stalls
+from bayes_aero.diagnosis.selection import sizes
 from bayes_aero.inference.results import Posterior
 from bayes_aero.inference.validation import pit_of
 from bayes_aero.model.noise import Colour
@@ -339,7 +339,7 @@ def test_a_size_on_its_bound_is_no_measurement(diagnosed):
     column = int(state.full.columns([name])[0])
     theta = state.theta.copy()
     theta[column] = state.full.model.free[column].bounds[1] - 1e-9
-    found = sizes(replace(state, theta=theta), extension.fit)
+    found = sizes(replace(state, theta=theta))
     assert [n for n, size in found.items() if size.at_bound] == [name]
     assert not any(size.at_bound for size in extension.sizes.values())
     held = replace(cause, parameters={name: found[name]})

@@ -13,8 +13,8 @@ from calling import holds
 from rich.console import Console
 
 import bayes_aero as ba
-from bayes_aero.diagnosis.candidate_set import DEFAULT
 from bayes_aero.diagnosis.result import Compared, GustHistory, HoldoutScores, ProcessNoise
+from bayes_aero.diagnosis.selection_state import DEFAULT
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.results import Marginal, MleStatus, NextFlight, PosteriorStatus, Scores
 from bayes_aero.jobs.io.results import results

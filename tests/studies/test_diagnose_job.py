@@ -14,7 +14,7 @@ import xarray as xr
 from calling import page_of, validated
 from simulated_halves import halves
 
-from bayes_aero.diagnosis import candidate_set
+from bayes_aero.diagnosis import selection_state
 from bayes_aero.diagnosis.diagnose import NO_GAIN
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError, plain_line
@@ -216,7 +216,7 @@ FEW = ("thrust_moment", "pitch_rate_lift", "mach_drag", "alpha_bias")
 @pytest.mark.recovery
 def test_numbers_histories_and_page_are_of_this_run(card, tmp_path, monkeypatch):
     """A folder that an interrupted diagnosis has left keeps nothing of it. Of few effects, which compile sooner."""
-    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in FEW})
+    monkeypatch.setattr(selection_state, "CATALOGUE", {name: CATALOGUE[name] for name in FEW})
     for name in ("diagnosis.json", "histories.nc"):
         (tmp_path / name).write_text("of another run")
     hidden = {"thrust_moment": {"thrust_arm": 0.6}}

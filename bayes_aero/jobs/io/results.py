@@ -111,7 +111,7 @@ def diagnosis_results(
             for s in r.candidate_scores
         ],  # every candidate in the first election of each stage, the highest score first
         base_parameters=view.moves,
-        covariance=view.covariance and documents.CovariancePart.of(view.covariance, residuals="coloured"),
+        covariance=view.covariance and documents.CovariancePart.of((*view.covariance, "coloured")),
         residuals={when: model.composition for when, model in models.items()},
         trajectories=trajectories_part(view.trajectories, card),
         stall={} if seen is None else {name: stall.numbers() for name, stall in seen.stalls.items()},

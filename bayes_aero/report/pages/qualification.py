@@ -17,8 +17,7 @@ from bayes_aero.units import number
 
 if TYPE_CHECKING:
     from bayes_aero.flight.card import Card
-    from bayes_aero.qualification import result
-    from bayes_aero.qualification.result import Qualification, Strip
+    from bayes_aero.qualification import Chance, Further, OpenTolerance, Outside, Qualification, Strip
 
 RANGES = {
     "alpha": ("deg", parts.DEG, "{:.0f}"),
@@ -87,7 +86,7 @@ def points_sentences(asked: Mapping[str, Any]) -> tuple[str, ...]:
 MOST = 6  # tests that are named in a sentence
 
 
-def further_table(found: result.Further) -> Table:
+def further_table(found: Further) -> Table:
     """A row for each test point, in the order of flying."""
     columns = point_columns([asdict(p) for p in found.points])
     decidable = [(k, test) for k, test in enumerate(found.tests) if test.decidable]
@@ -97,7 +96,7 @@ def further_table(found: result.Further) -> Table:
     return table("further", columns)
 
 
-def further_sentences(found: result.Further | None) -> tuple[str, ...]:
+def further_sentences(found: Further | None) -> tuple[str, ...]:
     """What to fly, and which tests no flight decides."""
     if found is None:
         return ()
@@ -115,7 +114,7 @@ def further_sentences(found: result.Further | None) -> tuple[str, ...]:
     return (*said, *([sentence("structure_open", tests=several(undecidable, MOST))] if undecidable else []))
 
 
-def _label(test: result.OpenTolerance) -> str:
+def _label(test: OpenTolerance) -> str:
     """Output, manoeuvre, and whether it is flown on the next flight."""
     ahead = " on the next flight" if test.kind.name == "NEXT" else ""
     return f"{symbol(test.output)} of {test.manoeuvre}{ahead}"
@@ -134,7 +133,7 @@ def band(output: str, tolerance: float) -> str:
     return f"{symbol(output)} ± {number(factor * tolerance)} {unit}"
 
 
-def chance_text(chance: result.Chance | None) -> str:
+def chance_text(chance: Chance | None) -> str:
     """0.873 ± 0.017, and what Monte Carlo cannot resolve as a bound."""
     if chance is None:
         return NONE
@@ -215,7 +214,7 @@ def outside_table(found: Qualification) -> Table:
     return table("region", columns, channels=found.channels)
 
 
-def _excess(one: result.Outside) -> str:
+def _excess(one: Outside) -> str:
     """By channel, in the units of people; what is less than a thousandth of a unit is left out."""
     listed = []
     for name, x in one.excess.items():
