@@ -39,7 +39,7 @@ from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES, ViewFigures, draw_all
-from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.pages.diagnosis import (
     DiagnosisContext,
     causes_table,

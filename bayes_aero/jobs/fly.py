@@ -47,10 +47,9 @@ from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.physics.kinematics import PATH_CORE
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
-from bayes_aero.report.figures.frequency import FREQUENCY_FIGURES
 from bayes_aero.report.figures.posterior import one_step_quantiles, pair_of
 from bayes_aero.report.figures.time_histories import fly_figures, gusts
-from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.pages import fly as text
 from bayes_aero.report.pages import trajectories
 from bayes_aero.report.pages.estimates import frequency_sentences, posterior_sentences
@@ -186,7 +185,7 @@ class FlightStore(Growing[Flight]):
         failed = put_histories(lambda: flights(together, found.flown.units), out)
         drawn: list[Path] = []
         if figures:
-            every: list[tuple[Any, Any]] = [(fly_figures(found.flown) | FREQUENCY_FIGURES, found.flown)]
+            every: list[tuple[Any, Any]] = [(fly_figures(found.flown), found.flown)]
             every += [] if found.process_noise is None else [(DISTURBED, found.process_noise)]
             every += [({"pair": pair_of}, found.posteriors)] if found.posteriors else []
             for number, (drawings, shown) in enumerate(every):

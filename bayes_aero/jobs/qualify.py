@@ -41,7 +41,7 @@ from bayes_aero.qualification.flights import (
 )
 from bayes_aero.qualification.qualify import CHANNELS, Region, Uncertain, qualify
 from bayes_aero.qualification.result import FAILS_TO, PASSES_FROM, FlightKind, Further, Outside, Qualification, Strip
-from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.pages.qualification import qualification_page, test_table
 from bayes_aero.report.phrases import several
 from bayes_aero.report.table import write_csv

@@ -166,12 +166,14 @@ def grid_of(count: int, columns: int, cell: tuple[float, float], **options: Any)
     return figure, flat[:count]
 
 
-def name_panels(axes: np.ndarray, heads: Iterable[str] = (), below: str = "time from start of record [s]") -> None:
-    """Heads above the columns of a grid of panels, the axis below it."""
-    for ax, head in zip(axes[0], heads, strict=False):
+def finish(figure: Figure, axes: np.ndarray, title: str, heads: Iterable[str], **legend: Any) -> None:
+    """Title, heads above the columns of a grid over time, and one legend."""
+    for ax, head in zip(axes[0], heads, strict=True):
         ax.set_title(head)
     for ax in axes[-1]:
-        ax.set_xlabel(below)
+        ax.set_xlabel("time from start of record [s]")
+    legend_below(figure, axes[0, 0], **legend)
+    figure.suptitle(title)
 
 
 def legend_below(figure: Figure, ax: Axes, columns: int = 0, **options: Any) -> None:

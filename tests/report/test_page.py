@@ -18,7 +18,7 @@ from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.results import PosteriorStatus
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.html.page import (
+from bayes_aero.report.page import (
     Fold,
     Gallery,
     HtmlTable,
@@ -31,7 +31,7 @@ from bayes_aero.report.html.page import (
     render,
     section,
 )
-from bayes_aero.report.html.plots import Line, Panel, extremes, linked
+from bayes_aero.report.plots import Line, Panel, extremes, linked
 from bayes_aero.report.pages.diagnosis import DiagnosisContext, diagnosis_page
 from bayes_aero.report.pages.identification import coverage_table, headline, identification_page, parameter_table
 from bayes_aero.report.pages.parts import stall_table

@@ -16,8 +16,8 @@ from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.io.results import RESULTS
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures.time_histories import stem_of
-from bayes_aero.report.html.page import Fold, HtmlTable, Picture, Plot, page_table, put_page, render
-from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
+from bayes_aero.report.page import Fold, HtmlTable, Picture, Plot, page_table, put_page, render
+from bayes_aero.report.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
 from bayes_aero.report.pages.fly import (
     FlyContext,
     error_table,

@@ -25,7 +25,7 @@ from bayes_aero.jobs.catalogue import effect_facts, known_effects, write_effects
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures import posterior, prior
 from bayes_aero.report.figures.every_figure import draw_all
-from bayes_aero.report.html.page import section, write_page
+from bayes_aero.report.page import section, write_page
 from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.pages.identification import identification_page

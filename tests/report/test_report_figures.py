@@ -20,7 +20,7 @@ from bayes_aero.report.figures.diagnosis import autocorrelation, telling
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, draw_all
 from bayes_aero.report.figures.posterior import pit_caption, pit_histogram
 from bayes_aero.report.figures.time_histories import broken, predicted
-from bayes_aero.report.html.page import Fold, Picture, page_table
+from bayes_aero.report.page import Fold, Picture, page_table
 from bayes_aero.report.pages.diagnosis import causes_table, probability, screen_table
 from bayes_aero.report.pages.findings import revealed, sentences
 from bayes_aero.report.pages.identification import identification_page

@@ -22,7 +22,7 @@ from bayes_aero.jobs.store import as_json
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.figures.posterior import next_flight
-from bayes_aero.report.html.page import page_table
+from bayes_aero.report.page import page_table
 from bayes_aero.report.pages.diagnosis import holdout_table
 from bayes_aero.report.pages.estimates import next_flight_sentences, ordered, scatter
 from bayes_aero.report.pages.identification import next_flight_table, parameter_table, validation_table

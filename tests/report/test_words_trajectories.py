@@ -11,7 +11,7 @@ from rich.console import Console
 from bayes_aero.diagnosis.result import Confirmation, Disagreement, LagTest, ProcessNoise
 from bayes_aero.inference.results import Calibration, OneStep, OutputErrorStatus, Predicted, Share
 from bayes_aero.report.figures.posterior import one_step_quantiles
-from bayes_aero.report.html.page import page_table
+from bayes_aero.report.page import page_table
 from bayes_aero.report.pages.fly import disagreement_sentences, fly_sentences, outside, parameter_table
 from bayes_aero.report.pages.trajectories import (
     cause_sentences,

@@ -33,21 +33,20 @@ Shown = TypeVar("Shown")
 def draw_all(
     drawings: Mapping[str, Callable[[Shown], Figure]], shown: Shown, folder: Path, progress: Progress | None = None
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Draw every figure of a registry for which `shown` holds something into `folder` as PNG.
+    """Draw every figure for which `shown` holds something into `folder` as PNG: paths, and a sentence on each failure.
 
-    Returns the paths written, and for each figure that failed a sentence. A figure that fails leaves no file and does
-    not keep the others from being drawn; one for which there is nothing to show is left out.
+    One that fails leaves no file and does not keep the others from being drawn.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    written: list[Path] = []
-    failed: list[str] = []
+    written, failed = [], []
     for number, (stem, draw) in enumerate(drawings.items()):
+        path = folder / f"{stem}.png"
         if progress:
             progress(f"figure {stem}", number / len(drawings))
         try:
-            (folder / f"{stem}.png").unlink(missing_ok=True)  # of an earlier run
+            path.unlink(missing_ok=True)  # of an earlier run
             gc.disable()  # a figure has so many objects that all that JAX holds would be searched for cycles each time
-            written.append(save(draw(shown), folder / f"{stem}.png"))
+            written.append(save(draw(shown), path))
         except NotDrawn:
             continue
         except Exception as reason:  # whatever it is, the other figures and the results stand; it is reported by name

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import arviz_base as azb
 import numpy as np
+import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.inference.results import score
-from bayes_aero.model.noise import Colour
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.time_histories import of_coefficient, predicted, what_is_shown
+from bayes_aero.report.figures.time_histories import predicted, what_is_shown
 from bayes_aero.report.pages import estimates as comparison
 from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered, unit_of
 from bayes_aero.report.phrases import GREEK, WORDS, bracket, plus_minus, sentence
-from bayes_aero.report.table import NORMAL95, Estimate
+from bayes_aero.report.plots import COLOURS
+from bayes_aero.report.table import Estimate
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import ProcessNoise
@@ -56,47 +55,41 @@ def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: An
 
 def _title(identification: Identification, engine: str, what: str) -> str:
     p = identification.posteriors[engine]
-    worst_rhat = max(m.rhat for m in p.marginals.values())
-    worst_ess = min(m.ess_bulk for m in p.marginals.values())
-    return (
-        f"{what}: {engine_label(engine)}, {noise_label(p.noise)} noise, {p.status.name.lower().replace('_', ' ')} "
-        f"(worst R-hat {worst_rhat:.3f}, smallest bulk ESS {worst_ess:.0f})"
-    )
+    rhat, ess = max(m.rhat for m in p.marginals.values()), min(m.ess_bulk for m in p.marginals.values())
+    status = p.status.name.lower().replace("_", " ")
+    text = f"{what}: {engine_label(engine)}, {noise_label(p.noise)} noise, {status}"
+    return f"{text} (worst R-hat {rhat:.3f}, smallest bulk ESS {ess:.0f})"
 
 
-def _chains(kind: str, engine: str) -> style.Drawing:
+def _chains(identification: Identification, kind: str, engine: str) -> Figure:
     """The plot of `arviz_plots` of every parameter's chains by an engine: traces, or ranks (ECDF less uniform)."""
-
-    def drawn(identification: Identification) -> Figure:
-        if engine not in identification.posteriors:
-            raise style.NotDrawn(f"this run has no posterior by {engine_label(engine)}")
-        posterior = identification.posteriors[engine]
-        names, sizes = ordered(posterior.names, identification.mle.parameters), posterior.tree["posterior"].sizes
-        size = 3.7 * min(len(names), 4), 2.1 * -(-len(names) // 4) + 0.6
+    if engine not in identification.posteriors:
+        raise style.NotDrawn(f"this run has no posterior by {engine_label(engine)}")
+    posterior = identification.posteriors[engine]
+    names, chains = ordered(posterior.names, identification.mle.parameters), posterior.tree["posterior"].sizes["chain"]
+    size: tuple[float, float] = 3.7 * min(len(names), 4), 2.1 * -(-len(names) // 4) + 0.6
+    if kind == "trace":
+        below = "draw, walkers end to end, thinned [-]" if engine == "emcee" else "draw, thinned [-]"
+        how = {"trace": {"alpha": 0.6, "width": 0.4}, "xlabel": False, "ticklabels": False, "title": False}
+        look = {"aes": {"color": ["chain"]}, "visuals": how}
+        most, title = TRACE_DRAWS, _title(identification, engine, "Trace")
+    else:
+        below, look = "fractional rank [-]", {"visuals": {"xlabel": False}}
+        independent = min(m.ess_bulk for m in posterior.marginals.values())
+        most = min(RANK_DRAWS, max(50, int(independent / chains)))
+        band = "\nthinned to independent draws; band: 99 % for chains that agree"
+        title = _title(identification, engine, "Rank") + band
+    figure = _draw(kind, _thinned(posterior, names, most), size, col_wrap=4, color=CHAIN_COLOURS, **look)
+    for number, (ax, name) in enumerate(zip([ax for ax in figure.axes if ax.has_data()], names, strict=True)):
         if kind == "trace":
-            tree = _thinned(posterior, names, TRACE_DRAWS)
-            how = {"trace": {"alpha": 0.6, "width": 0.4}, "xlabel": False, "ticklabels": False, "title": False}
-            figure = _draw("trace", tree, size, col_wrap=4, aes={"color": ["chain"]}, color=CHAIN_COLOURS, visuals=how)
-            thinned = ", thinned [-]" if tree["posterior"].sizes["draw"] < sizes["draw"] else " [-]"
-            below, title = ("draw, walkers end to end" if engine == "emcee" else "draw") + thinned, "Trace"
+            ax.set_ylabel(f"{name} {bracket(unit_of(identification, name))}")
         else:
-            independent = min(m.ess_bulk for m in posterior.marginals.values())
-            tree = _thinned(posterior, names, min(RANK_DRAWS, max(50, int(independent / sizes["chain"]))))
-            figure = _draw("rank", tree, size, col_wrap=4, color=CHAIN_COLOURS, visuals={"xlabel": False})
-            below, title = "fractional rank [-]", "Rank"
-        for number, (ax, name) in enumerate(zip([ax for ax in figure.axes if ax.has_data()], names, strict=True)):
-            if kind == "trace":
-                ax.set_ylabel(f"{name} {bracket(unit_of(identification, name))}")
-            else:
-                ax.set_title(name)
-                ax.set_ylabel("Δ ECDF [-]" if number % 4 == 0 else "")
-            if number >= len(names) - 4:
-                ax.set_xlabel(below)
-        band = "\nthinned to independent draws; band: 99 % for chains that agree" if kind == "rank" else ""
-        figure.suptitle(_title(identification, engine, title) + band)
-        return figure
-
-    return style.housed(drawn)
+            ax.set_title(name)
+            ax.set_ylabel("Δ ECDF [-]" if number % 4 == 0 else "")
+        if number >= len(names) - 4:
+            ax.set_xlabel(below)
+    figure.suptitle(title)
+    return figure
 
 
 @style.housed
@@ -131,9 +124,8 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
         raise style.NotDrawn("there is no posterior")
     engine, posterior = next(iter(posteriors.items()))
     figure = _pair(engine, posterior, posterior.most_correlated(MOST_PAIRED))
-    figure.suptitle(
-        f"Posterior with process noise by {engine_label(engine)}: the parameters of the largest correlations"
-    )
+    title = f"Posterior with process noise by {engine_label(engine)}: the parameters of the largest correlations"
+    figure.suptitle(title)
     return figure
 
 
@@ -172,7 +164,8 @@ def pit_histogram(identification: Identification) -> Figure:
     axes[0].set_ylim(bottom=0.0)
     axes[0].set_ylabel("density, 1 if calibrated [-]")
     style.legend_below(figure, axes[0], 2)
-    figure.suptitle(f"Where measurements fall in the {what_predicts(identification)} ({engine_label(t.engine)})")
+    what = "posterior predictive" if identification.noise == "white" else "one-step-ahead posterior predictive"
+    figure.suptitle(f"Where measurements fall in the {what} ({engine_label(t.engine)})")
     return figure
 
 
@@ -200,11 +193,6 @@ def one_step_quantiles(found: ProcessNoise) -> Figure:
     return figure
 
 
-def what_predicts(identification: Identification) -> str:
-    """The predictive distribution, in a few words."""
-    return "posterior predictive" if identification.noise is Colour.WHITE else "one-step-ahead posterior predictive"
-
-
 def pit_caption(identification: Identification) -> str:
     """Caption of `pit_histogram`."""
     t = identification.pit
@@ -212,7 +200,7 @@ def pit_caption(identification: Identification) -> str:
     correlations = dict(zip(identification.observations.coefficients, t.correlation, strict=True))
     limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
     coloured = [name for name, r in correlations.items() if abs(r) > limit]
-    white = identification.noise is Colour.WHITE
+    white = identification.noise == "white"
     listed = [f"{name} {r:+.2f}" for name, r in correlations.items()]
     how = sentence("pit_white" if white else "pit_coloured", listed=listed)
     narrow = sentence("pit_narrow", names=coloured) if coloured else ""
@@ -225,19 +213,18 @@ def pit_caption(identification: Identification) -> str:
 def _correlation(identification: Identification, name: str) -> Figure:
     """Measured against predicted on the same points: maximum likelihood and GPR side by side, on one scale."""
     points = predicted(identification, name)
-    pairs = [("Maximum likelihood", COLOURS["mle"], points.mle)]
-    if points.gp is not None:
-        pairs.append(("Gaussian-process regression", COLOURS["gpr"], points.gp))
-    size = (4.9 * len(pairs) + 0.2, 5.75)
-    figure, axes = style.panels(1, len(pairs), size, sharex=True, sharey=True)
-    both = np.concatenate([points.measured, *(values for _, _, values in pairs)])
+    pairs = {"Maximum likelihood": "mle", "Gaussian-process regression": "gp"}
+    pairs = {title: key for title, key in pairs.items() if key in points}
+    figure, axes = style.panels(1, len(pairs), (4.9 * len(pairs) + 0.2, 5.75), sharex=True, sharey=True)
+    both = points[["measured", *pairs.values()]].to_numpy()
     ends = np.array([both.min(), both.max()]) + 0.03 * np.ptp(both) * np.array([-1.0, 1.0])
-    for ax, (title, colour, values) in zip(axes[0], pairs, strict=True):
-        found = score(points.measured, values)
-        ax.plot(ends, ends, color="#555555", lw=0.9, zorder=1)
-        ax.scatter(points.measured, values, s=7, color=colour, alpha=0.45, linewidths=0, zorder=2)
+    for ax, (title, key) in zip(axes[0], pairs.items(), strict=True):
+        r, rmse = points.measured.corr(points[key]), np.sqrt(np.mean((points.measured - points[key]) ** 2))
+        colour = COLOURS["mle" if key == "mle" else "gpr"]
+        ax.plot(ends, ends, color=GREY, lw=0.9, zorder=1)
+        ax.scatter(points.measured, points[key], s=7, color=colour, alpha=0.45, linewidths=0, zorder=2)
         ax.set(xlim=ends, ylim=ends, box_aspect=1.0, xlabel=f"measured {name} [-]", title=title)
-        text = f"r = {found.r:.4f}\nRMSE = {found.rmse:.5f}\nn = {len(values)}"
+        text = f"r = {r:.4f}\nRMSE = {rmse:.5f}\nn = {len(points)}"
         ax.text(0.04, 0.96, text, transform=ax.transAxes, va="top", linespacing=1.4)
     axes[0, 0].set_ylabel(f"predicted {name} [-]")
     figure.suptitle(f"{name}, measured against predicted:\n{what_is_shown(identification)}")
@@ -247,25 +234,21 @@ def _correlation(identification: Identification, name: str) -> Figure:
 @style.housed
 def hysteresis(identification: Identification) -> Figure:
     """CL against angle of attack, rising and falling separate: measured, maximum likelihood, GPR."""
-    o = identification.observations
-    if "CL" not in o.coefficients:
-        raise style.NotDrawn("the model has no CL")
-    points = predicted(identification, "CL")
+    o, points = identification.observations, predicted(identification, "CL")
     alpha, rising = np.rad2deg(np.asarray(o.signals["alpha"])), np.asarray(o.signals["alpha_dot"]) > 0.0
-    sources = [("measured", np.arange(o.n), np.asarray(o.measured)[:, o.coefficients.index("CL")])]
-    sources.append(("maximum likelihood", points.index, points.mle))
-    if points.gp is not None:
-        sources.append(("GPR", points.index, points.gp))
+    measured = pd.Series(np.asarray(o.measured)[:, o.coefficients.index("CL")])
+    sources = {"measured": measured, "maximum likelihood": points.mle}
+    sources |= {"GPR": points.gp} if "gp" in points else {}
     rows = len(o.names)
     style.refuse_many(rows)
     size = (4.4 * len(sources), min(3.6, 0.8 * style.column_width(rows)) * rows + 0.9)
     figure, axes = style.panels(rows, len(sources), size, sharex=True, sharey=True)
     for number, row in enumerate(axes):
-        for ax, (title, index, values) in zip(row, sources, strict=True):
-            mine = o.manoeuvre[index] == number
-            for key, way in (("rising", rising[index]), ("falling", ~rising[index])):
-                x, y = alpha[index][mine & way], values[mine & way]
-                ax.plot(x, y, ".", ms=2.0, color=COLOURS[key], alpha=0.7, label=f"α {key}")
+        for ax, (title, values) in zip(row, sources.items(), strict=True):
+            mine = values[o.manoeuvre[values.index] == number]
+            for key, way in (("rising", rising[mine.index]), ("falling", ~rising[mine.index])):
+                look = {"color": COLOURS[key], "label": f"α {key}", "ms": 2.0, "alpha": 0.7}
+                ax.plot(alpha[mine.index][way], mine[way], ".", **look)
             ax.set_title(f"{o.names[number]}, {title}")
         row[0].set_ylabel("CL [-]")
     for ax in axes[-1]:
@@ -278,75 +261,59 @@ def hysteresis(identification: Identification) -> Figure:
 # --- Bounds and credible intervals: forest plots, and every standard error as a multiple of the Cramer-Rao bound.
 
 GREY = "#555555"  # of what has no colour of its own
-MARKERS = {"crb": "|", "crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^", "scatter": "*"}
-
-
-@dataclass(frozen=True)
-class ForestLine:
-    """One line of a forest panel: an estimate; `inner` is half of a narrower interval, drawn thick."""
-
-    label: str
-    colour: str
-    estimate: Estimate
-    inner: float | None = None
+MARKERS = {"crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^"}
+Lines = list[tuple[str, str, Estimate]]
+"""Label, role of the colour, and estimate of each line of a forest panel."""
 
 
 @style.housed
 def forest(identification: Identification) -> Figure:
     """Every parameter by every method, with 95 % intervals and numbers; one panel per parameter, in its own unit."""
-    table = {}
+    table: dict[str, Lines] = {}
     for name in ordered(identification.mle.names, identification.mle.parameters):
-        found = [(m, m.estimates[name]) for m in comparison.methods(identification) if name in m.estimates]
-        table[name] = [ForestLine(m.label, COLOURS.get(m.key, GREY), e) for m, e in found if np.isfinite(e.sd)]
-        for manoeuvre, (x, crb, corrected) in comparison.alone(identification, name).items():
-            estimate, label = Estimate.normal(x, corrected), f"{manoeuvre} alone, ML"
-            table[name].append(ForestLine(label, COLOURS["alone"], estimate, NORMAL95 * crb))
-    return _forest(
-        identification,
-        table,
-        "Estimates with 95 % intervals, and estimate ± standard deviation\n"
-        "one manoeuvre alone: thick Cramér-Rao, thin corrected bound (the number's ±)",
-    )
+        every = [(m, m.estimates[name]) for m in comparison.methods(identification) if name in m.estimates]
+        table[name] = [(m.label, m.key, e) for m, e in every if np.isfinite(e.sd)]
+        for manoeuvre, (x, _, corrected) in comparison.alone(identification, name).items():
+            table[name].append((f"{manoeuvre} alone, ML", "alone", Estimate.normal(x, corrected)))
+    title = "Estimates with 95 % intervals, and estimate ± standard deviation\none manoeuvre alone: corrected bound"
+    return _forest(identification, table, title)
 
 
 @style.housed
 def next_flight(identification: Identification) -> Figure:
     """Joint fit, manoeuvres alone and pooled, aircraft and next flight, with 95 % intervals; a panel a parameter."""
-    found, mle = identification.next_flight, identification.mle
-    if found is None:
+    pooled, mle = identification.next_flight, identification.mle
+    if pooled is None:
         raise style.NotDrawn("the manoeuvres were not pooled; ask for the next flight")
-    if len(found.manoeuvres) > style.MOST_MANOEUVRES:
-        raise style.NotDrawn(f"there are more than {style.MOST_MANOEUVRES} manoeuvres")
-    table, bound = {}, comparison.bounds(mle, mle.crb_corrected)
-    for name in ordered(found.aircraft, found.parameters):
-        joint = bound[name]
-        rows = [ForestLine("joint fit", COLOURS["mle"], joint)] if np.isfinite(joint.sd) else []
-        for m in found.manoeuvres:
-            if name in found.alone[m]:
-                rows.append(ForestLine(f"{m} alone", COLOURS["prior"], Estimate.normal(*found.alone[m][name])))
-            rows.append(ForestLine(f"{m} pooled", COLOURS["alone"], Estimate.of(found.pooled[m][name])))
-        rows.append(ForestLine("aircraft", COLOURS["nuts"], Estimate.of(found.aircraft[name])))
-        table[name] = [*rows, ForestLine("next flight", COLOURS["scatter"], Estimate.of(found.following[name]))]
+    style.refuse_many(len(pooled.manoeuvres))
+    table: dict[str, Lines] = {}
+    bound = comparison.bounds(mle, mle.crb_corrected)
+    for name in ordered(pooled.aircraft, pooled.parameters):
+        table[name] = [("joint fit", "mle", bound[name])] if np.isfinite(bound[name].sd) else []
+        for m in pooled.manoeuvres:
+            if name in pooled.alone[m]:
+                table[name].append((f"{m} alone", "prior", Estimate.normal(*pooled.alone[m][name])))
+            table[name].append((f"{m} pooled", "alone", Estimate.of(pooled.pooled[m][name])))
+        table[name].append(("aircraft", "nuts", Estimate.of(pooled.aircraft[name])))
+        table[name].append(("next flight", "scatter", Estimate.of(pooled.following[name])))
     title = "Manoeuvres alone and pooled, and the next flight\n95 % intervals; numbers: ± standard deviation"
     return _forest(identification, table, title)
 
 
-def _forest(identification: Identification, table: dict[str, list[ForestLine]], title: str) -> Figure:
+def _forest(identification: Identification, table: Mapping[str, Lines], title: str) -> Figure:
     """A panel for each parameter with a line for each of its intervals."""
-    labels = list(dict.fromkeys(row.label for rows in table.values() for row in rows))
+    labels = list(dict.fromkeys(label for lines in table.values() for label, *_ in lines))
     columns = min(2, len(table))  # three would not be legible on a page
     figure, axes = style.grid_of(len(table), columns, (5.4, 0.2 * len(labels) + 0.85))
-    for number, (ax, (name, rows)) in enumerate(zip(axes, table.items(), strict=True)):
-        for row in rows:
-            y, (x, sd, low, high), colour = labels.index(row.label), row.estimate, row.colour
+    for number, (ax, (name, lines)) in enumerate(zip(axes, table.items(), strict=True)):
+        for label, key, (x, sd, low, high) in lines:
+            y, colour = labels.index(label), COLOURS.get(key, GREY)
             ax.plot([low, high], [y, y], color=colour, lw=1.6, solid_capstyle="butt")
-            if row.inner is not None:
-                ax.plot([x - row.inner, x + row.inner], [y, y], color=colour, lw=4.0, alpha=0.6)
             ax.plot(x, y, "o", ms=4.0, color=colour, mec="white", mew=0.5)
             beside = {"transform": ax.get_yaxis_transform(), "va": "center", "fontsize": 7.5, "color": "#333333"}
             ax.text(1.02, y, plus_minus(x, sd), **beside)
-        if rows:
-            ax.axvline(rows[0].estimate.centre, color=COLOURS["crb"], lw=0.8, zorder=0)
+        if lines:
+            ax.axvline(lines[0][2].centre, color=COLOURS["crb"], lw=0.8, zorder=0)
         ax.set_yticks(range(len(labels)), [""] * len(labels) if number % columns else labels)
         ax.set_ylim(len(labels) - 0.4, -0.6)
         ax.xaxis.set_major_locator(MaxNLocator(5))
@@ -361,34 +328,25 @@ def _forest(identification: Identification, table: dict[str, list[ForestLine]], 
 def crb_vs_credible(identification: Identification) -> Figure:
     """Each method's standard deviation over the Cramer-Rao one, on a log axis, and the scatter between manoeuvres."""
     names = ordered(identification.mle.names, identification.mle.parameters)
-    found = comparison.methods(identification)
-    crb, others = found[0], found[1:]
+    crb, *others = comparison.methods(identification)
     if not all(np.isfinite(e.sd) for e in crb.estimates.values()):
         raise style.NotDrawn("the Cramér-Rao bounds do not exist: the information matrix is singular")
     figure, axes = style.panels(1, 1, (9.0, 0.36 * len(names) + 2.0))
-    ax = axes[0, 0]
+    ax, rows = axes[0, 0], np.arange(len(names))
     ax.axvline(1.0, color=COLOURS["crb"], lw=1.6, label="Cramér-Rao bound, white residuals")
-    rows = np.arange(len(names))
-    offsets = np.linspace(-0.24, 0.24, len(others)) if len(others) > 1 else [0.0]
-    for method, offset in zip(others, offsets, strict=True):
-        ratio = [e.sd / crb.estimates[n].sd if e else np.nan for n, e in zip(names, method.of(names), strict=True)]
-        look = {"color": COLOURS.get(method.key, GREY), "ms": 6.0, "mec": "white", "mew": 0.5}
-        ax.plot(ratio, rows + offset, MARKERS.get(method.key, "o"), label=method.label, **look)
-    between = [comparison.scatter(identification, name) for name in names]
-    if any(s is not None for s in between):
-        ratio = [s.sd / crb.estimates[n].sd if s else np.nan for s, n in zip(between, names, strict=True)]
-        look = {"color": COLOURS["scatter"], "ms": 10.0, "mec": "white", "mew": 0.5, "zorder": 4}
+    look: dict[str, Any] = {"ls": "none", "mec": "white", "mew": 0.5}
+    for method, offset in zip(others, np.linspace(-0.24, 0.24, len(others)), strict=True):
+        ratio, marker = [method.over(crb).get(n, np.nan) for n in names], MARKERS.get(method.key, "o")
+        colour = COLOURS.get(method.key, GREY)
+        ax.plot(ratio, rows + offset, marker=marker, color=colour, ms=6.0, label=method.label, **look)
+    between = {n: comparison.scatter(identification, n) for n in names}
+    if any(between.values()):
+        ratio = [s[0] / crb.estimates[n].sd if s else np.nan for n, s in between.items()]
         label = f"sd of {len(identification.alone)} manoeuvres fitted alone"
-        ax.plot(ratio, rows, MARKERS["scatter"], label=label, **look)
+        ax.plot(ratio, rows, marker="*", color=COLOURS["scatter"], ms=10.0, zorder=4, label=label, **look)
     ax.set_xscale("log")
     low, high = ax.get_xlim()
-    low, high = min(low, 0.7), max(high, 1.5)
-    ax.set_xlim(low, high)
-    ticks = [m * 10.0**k for k in range(-6, 9) for m in (1, 2, 5)]  # plain numbers
-    ax.set_xticks([t for t in ticks if low <= t <= high])
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.minorticks_off()
+    ax.set_xlim(min(low, 0.7), max(high, 1.5))
     ax.set_yticks(rows, names)
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.set_xlabel("standard deviation / Cramér-Rao standard deviation [-]")
@@ -400,7 +358,11 @@ def crb_vs_credible(identification: Identification) -> Figure:
 CORRELATIONS = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
 CORRELATIONS |= {name: f"correlation_{name}" for name in LATERAL}
 """The figure of a coefficient measured against predicted."""
-FIGURES = {f"{kind}_{engine}": _chains(kind, engine) for engine in ("emcee", "nuts") for kind in ("trace", "rank")}
+FIGURES: dict[str, style.Drawing] = {
+    f"{kind}_{engine}": style.housed(partial(_chains, kind=kind, engine=engine))
+    for engine in ("emcee", "nuts")
+    for kind in ("trace", "rank")
+}
 FIGURES |= {"pair": pair, "pit": pit_histogram, "fig5_stall_hysteresis": hysteresis}
-FIGURES |= {stem: of_coefficient(_correlation, name) for name, stem in CORRELATIONS.items()}
+FIGURES |= {stem: style.housed(partial(_correlation, name=name)) for name, stem in CORRELATIONS.items()}
 FIGURES |= {"next_flight": next_flight, "forest": forest, "crb_vs_credible": crb_vs_credible}

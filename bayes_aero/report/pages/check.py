@@ -12,9 +12,7 @@ import numpy as np
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import Agreement
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Facts, HtmlTable, Picture, Plot, Report, Section, fold, page_table, section
-from bayes_aero.report.html.plots import SAMPLE, TIME, Line, Panel
+from bayes_aero.report.page import Facts, HtmlTable, Picture, Plot, Report, Section, fold, page_table, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.phrases import (
     bracket,
@@ -26,6 +24,7 @@ from bayes_aero.report.phrases import (
     symbol,
     unit_behind,
 )
+from bayes_aero.report.plots import COLOURS, SAMPLE, TIME, Line, Panel
 from bayes_aero.report.table import Column, Table, columns_of
 from bayes_aero.units import number
 

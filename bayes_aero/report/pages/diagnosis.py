@@ -11,7 +11,7 @@ import pandas as pd
 
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report.figures.diagnosis import coefficient_panels, telling
-from bayes_aero.report.html.page import Gallery, Report, Section, Text, fold, section
+from bayes_aero.report.page import Gallery, Report, Section, Text, fold, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.pages.estimates import band_text
 from bayes_aero.report.pages.findings import diagnosis_sentences, findings, in_band_sentences, sentences
@@ -28,6 +28,7 @@ from bayes_aero.report.phrases import (
     several,
     size_text,
 )
+from bayes_aero.report.plots import MODELS
 from bayes_aero.report.table import (
     NONE,
     BeforeAfter,
@@ -44,8 +45,6 @@ from bayes_aero.report.table import (
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import Cause, CausesInBand, Diagnosis, DiagnosisView, HoldoutScores, Ranking, View
 
-NOTES = WORDS["notes"]
-
 
 # --- Tables: causes, changes, terms, candidates.
 
@@ -59,18 +58,18 @@ def causes_table(d: Diagnosis) -> Table:
     def each(get: Callable[[Any], Any], *heads: Any, **how: Any) -> Column:
         return column(lambda c: [get(size) for size in c.parameters.values()], *heads, **how)
 
-    def score(name: str, kind: str) -> Column:
-        files = tuple(f"{name}_{kind}_{when}" for when in ("before", "after"))
-        head = f"R² {name}" if kind == "r2" and name in shown else None
-        return column(lambda c: _change(c, name, kind), files, None, head, ".2f")
+    def change(c: Cause, name: str, kind: str) -> BeforeAfter | None:
+        both = c.gain.before, c.gain.after
+        return BeforeAfter(*(getattr(of[name], kind) for of in both)) if name in c.gain.before else None
 
     names = dict.fromkeys(name for c in d.causes for name in c.gain.before)
-    shown: Sequence[str] = ()
-    if d.by_coefficients:  # those whose R² any of the causes changes most
-        pairs = {name: [x for c in d.causes if (x := _change(c, name, "r2")) is not None] for name in names}
-        sizes = {n: [abs(b - a) for a, b in found if a is not None and b is not None] for n, found in pairs.items()}
-        shown = sorted(names, key=lambda name: -max(map(float, np.nan_to_num(sizes[name])), default=0.0))
-        shown = shown[:ON_A_TERMINAL]
+    pairs = {n: [x for c in d.causes if (x := change(c, n, "r2")) and None not in x] for n in names}
+    largest = {n: max((abs(np.nan_to_num(b - a)) for a, b in found), default=0.0) for n, found in pairs.items()}
+    shown = sorted(names, key=lambda n: -largest[n])[:ON_A_TERMINAL] if d.by_coefficients else []
+    scores = []
+    for n, kind in ((n, kind) for n in names for kind in ("r2", "rmse")):
+        files, head = (f"{n}_{kind}_before", f"{n}_{kind}_after"), f"R² {n}" if kind == "r2" and n in shown else None
+        scores.append(column(lambda c, n=n, kind=kind: change(c, n, kind), files, None, head, ".2f"))
     if_removed = "hold-out data\nif removed" if any(np.isfinite(c.missed[0]) for c in d.causes) else None
     rivals = "rivals", None if d.by_coefficients else "rivals"
     columns = [
@@ -92,20 +91,20 @@ def causes_table(d: Diagnosis) -> Table:
         column(lambda c: Estimate(-c.missed[0], c.missed[1]), ("taken_out_elpd", "taken_out_elpd_se")),
         column(lambda c: c, page=if_removed, form=_if_removed),
         column(lambda c: several(c.ambiguous_with), "", *rivals, or_dash, str),
-        *(score(name, kind) for name in names for kind in ("r2", "rmse")),
+        *scores,
     ]
     if d.by_coefficients:
         most = f"R² of the {len(shown)} coefficients that change most. " if 0 < len(shown) < len(names) else ""
         return table("causes", columns, split=WORDS["splits"][d.split], most=most)
     source = "innovations" if d.compared == "innovations" else "trajectories alone"
-    unsure = "" if all(c.sure for c in d.causes) else NOTES["causes_flown"]
+    unsure = "" if all(c.sure for c in d.causes) else WORDS["notes"]["causes_flown"]
     return table("causes_flown", columns, source=source, unsure=unsure)
 
 
 def _sizes(c: Cause) -> list[str]:
     """Sizes, with names where there are several."""
     texts = {name: size_text(s.mean, s.sd, s.unit).replace("c/V", "chords") for name, s in c.parameters.items()}
-    return [f"{name} {text}" for name, text in texts.items()] if len(texts) > 1 else list(texts.values())
+    return [f"{name} {text}" if len(texts) > 1 else text for name, text in texts.items()]
 
 
 def _interval(s: Any) -> str:
@@ -123,17 +122,13 @@ def _if_removed(c: Cause) -> str:
     return text if c.confirmed else f"{text} *"
 
 
-def _change(c: Cause, name: str, kind: str) -> BeforeAfter | None:
-    """A score of a coefficient on hold-out data without and with a cause."""
-    if name not in c.gain.before:
-        return None
-    return BeforeAfter(getattr(c.gain.before[name], kind), getattr(c.gain.after[name], kind))
-
-
 def changes_table(d: Diagnosis) -> Table:
     """A row for each parameter that takes another value during the records, in files SI and radians."""
-    column, parts_ = columns_of(d.changes), ("before", "after", "size")
-    heads = {"before": "before", "after": "after", "size": "change"}
+    column, sizes = columns_of(d.changes), []
+    for n, head in (("before", "before"), ("after", "after"), ("size", "change")):
+        sizes.append(column(lambda c, n=n: Estimate(*getattr(c, n)), (n, f"{n}_sd")))
+        texts = [filled("{x:±{unit}}", x=getattr(c, n), unit=c.unit) for c in d.changes]
+        sizes.append(Column(texts, page=head, terminal=head))
     columns = [
         column(lambda c: c.parameter, "parameter", "parameter", "parameter"),
         column(lambda c: c.unit, "unit"),
@@ -142,11 +137,7 @@ def changes_table(d: Diagnosis) -> Table:
         column(lambda c: BeforeAfter(*c.interval), ("at_low", "at_high")),
         column(lambda c: from_to(c.interval[0], c.interval[1], 0.5), page="95 % interval, s"),
         column(lambda c: c.lasts, "lasts"),
-        *(column(lambda c, n=n: Estimate(*getattr(c, n)), (n, f"{n}_sd")) for n in parts_),
-        *(
-            column(lambda c, n=n: filled("{x:±{unit}}", x=getattr(c, n), unit=c.unit), page=head, terminal=head)
-            for n, head in heads.items()
-        ),
+        *sizes,
         column(lambda c: c.share, "share"),
         column(lambda c: c.p_value, "p_value", "p", "p", 2),
         column(lambda c: c.gain, "elpd", "hold-out gain", None, ".1f"),
@@ -217,9 +208,7 @@ def gain_table(view: DiagnosisView) -> Table | None:
     for when, scores in zip(("before", "after"), view.unseen_scores, strict=True):
         columns.append(Column([scores[name].r2 for name in names], page=f"R² {when}", form=".3f"))
         columns.append(Column([scores[name].rmse for name in names], page=f"RMSE {when} [-]", form=".4f"))
-    by_manoeuvre = view.diagnosis.split == "manoeuvre"
-    what = "each manoeuvre predicted from the others" if by_manoeuvre else "each block from the others"
-    return table("gain", columns, what=what)
+    return table("gain", columns, what=WORDS["splits"][view.diagnosis.split])
 
 
 def holdout_table(unseen: HoldoutScores) -> Table:
@@ -242,41 +231,34 @@ def holdout_table(unseen: HoldoutScores) -> Table:
 
 def moves_table(view: View) -> Table:
     """The card's own parameters before and after."""
-    column = columns_of([(name, m, *for_people(m.unit)) for name, m in view.moves.items()])
+    rows = [(name, m, *for_people(m.unit)) for name, m in view.moves.items()]
+    moved = [(m.after - m.before) / m.sd_after if m.sd_after > 0.0 else None for _, m, *_ in rows]
     columns = [
-        column(lambda r: f"{r[0]} {bracket(plain_unit(r[2]))}", page="parameter"),
-        column(lambda r: Estimate(r[3] * r[1].before, r[3] * r[1].sd_before), page="card's model"),
-        column(lambda r: Estimate(r[3] * r[1].after, r[3] * r[1].sd_after), page="extended model"),
-        column(
-            lambda r: (r[1].after - r[1].before) / r[1].sd_after if r[1].sd_after > 0.0 else None,
-            page="change\n[standard errors]",
-            form="+.1f",
-        ),
+        Column([f"{name} {bracket(plain_unit(unit))}" for name, _, unit, _ in rows], page="parameter"),
+        Column([Estimate(f * m.before, f * m.sd_before) for _, m, _, f in rows], page="card's model"),
+        Column([Estimate(f * m.after, f * m.sd_after) for _, m, _, f in rows], page="extended model"),
+        Column(moved, page="change\n[standard errors]", form="+.1f"),
     ]
     return table("moves", columns)
 
 
-def residual_tables(view: View) -> tuple[Table, Table]:
-    """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation; then calibration."""
+def residual_table(view: View) -> Table:
+    """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation, and calibration."""
     models = [("card's", view.card), *([("extended", view.extended)] if view.changed else [])]
     rows = [(f"{name}, {label}", fitted.composition[name]) for name in view.coefficients for label, fitted in models]
-    column, first = columns_of([numbers for _, numbers in rows]), Column([label for label, _ in rows], page="")
-    group = "Theil's shares of the squared error"
-    shares = [
-        column(lambda n, part=part: n[f"theil_{part}"], page=part, form=".0%", group=group)
-        for part in ("bias", "variance", "covariance")
-    ]
+    column = columns_of([numbers for _, numbers in rows])
     levels = sorted({level for _, numbers in rows for level in numbers["calibration"]}, key=float)
-    sizes = [
-        first,
+    shares, inside = {"form": ".0%", "group": "Theil's shares"}, {"form": ".0%", "group": "inside the noise's bands"}
+    columns = [
+        Column([label for label, _ in rows], page=""),
         column(lambda n: n["r2"], page="R²", form=".3f"),
         column(lambda n: n["rmse"], page="RMSE [-]", form=".4f"),
         column(lambda n: n["theil"], page="Theil U", form=".3f"),
-        *shares,
+        *(column(lambda n, p=p: n[f"theil_{p}"], page=p, **shares) for p in ("bias", "variance", "covariance")),
         column(lambda n: n["lag1"], page="lag-1\ncorrelation", form="+.2f"),
+        *(column(lambda n, x=x: n["calibration"][x], page=f"{100.0 * float(x):.0f} %", **inside) for x in levels),
     ]
-    inside = [column(lambda n, x=x: n["calibration"][x], page=f"{100.0 * float(x):.0f} %", form=".0%") for x in levels]
-    return table("residuals", sizes), table("calibration", [first, *inside])
+    return table("residuals", columns)
 
 
 # --- Sizes of the causes in a band of frequencies beside those of the coefficients: a table, and what it says.
@@ -284,36 +266,28 @@ def residual_tables(view: View) -> tuple[Table, Table]:
 
 def in_band_table(found: CausesInBand) -> Table:
     """A row for each parameter of a cause that the band shows, SI and radians."""
-    sizes = found.sizes
-    both = (([s.coefficients for s in sizes], "coefficients"), ([s.in_band for s in sizes], "in the band"))
+    sizes, column = found.sizes, columns_of(found.sizes)
     columns = [
-        Column([s.cause for s in sizes], "cause", "cause"),
+        column(lambda s: s.cause, "cause", "cause"),
         *parameter_columns([s.parameter for s in sizes], [s.unit for s in sizes]),
-        *(Column([Estimate.normal(*x) for x in values], page=head, form=in_brackets) for values, head in both),
-        Column([s.apart for s in sizes], page="difference\n[standard errors]", form=".1f"),
+        column(lambda s: Estimate.normal(*s.coefficients), page="coefficients", form=in_brackets),
+        column(lambda s: Estimate.normal(*s.in_band), page="in the band", form=in_brackets),
+        column(lambda s: s.apart, page="difference\n[standard errors]", form=".1f"),
     ]
     return table("in_band", columns, band=band_text(found))
 
 
 # --- The page.
 
-FIGURES = (
-    "found", "ranking", "gain", "moves", "residual_profiles", "residual_colour", "stall_models", "separation_models",
-    "measured_simulated",
-)  # fmt: skip
-
 
 def gained(view: View) -> str:
     """R² of each coefficient on hold-out data before and after, where it changes."""
-    if view.unseen_scores is None:
-        return ""
-    first, last = view.unseen_scores
+    first, last = view.unseen_scores or ({}, {})
     pairs = {n: (f"{first[n].r2:.3f}", f"{last[n].r2:.3f}") for n in first if n in last}
-    moved = {n: pair for n, pair in pairs.items() if pair[0] != pair[1]}
-    return several(f"{n} R² from {before} to {after}" for n, (before, after) in moved.items()) + "." if moved else ""
+    moved = [f"{n} R² from {before} to {after}" for n, (before, after) in pairs.items() if before != after]
+    return f"On hold-out data, before and after: {several(moved)}." if moved else ""
 
 
-CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
 FROM_WHAT = {
     "coefficients": "",
     "trajectories": ", from trajectories alone: the record has no coefficients",
@@ -334,27 +308,26 @@ class DiagnosisContext(parts.PageContext):
 def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> Report:
     """The page of a diagnosis, by coefficients or by trajectories alone."""
     d, whole = view.diagnosis, cast("View | None", view if hasattr(view, "card") else None)
-    by_coefficients = whole is not None
-    captions, best = WORDS["captions"], None if whole is None else telling(whole)
-    what = () if best is None else (best.quantity.replace("_", " "), best.manoeuvre)
-    gallery = Gallery(context.figures, {stem: captions[stem].format(*what) for stem in FIGURES} if what else {})
-    verdict, *rest = diagnosis_sentences(d) if by_coefficients else sentences(view)
-    lead: list[Any] = [Text(one, "lead") for one in context.revealed]
-    if whole is not None and gained(whole):
-        lead.append(Text(f"On hold-out data, before and after: {gained(whole)}", "lead"))
-    if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
-        lead.append(Text(gain, "lead"))
+    captions = dict(WORDS["captions"])
+    if whole is not None:
+        panel, manoeuvre, _ = telling(whole)
+        captions["found"] = captions["found"].format(panel.name, manoeuvre)
+    gallery = Gallery(context.figures, captions)
+    verdict, *rest = diagnosis_sentences(d) if whole is not None else sentences(view)
+    gain = "" if view.trajectories is None else simulation_gain(view.trajectories)
+    said = [*context.revealed, "" if whole is None else gained(whole), gain]
+    lead: list[Any] = [Text(text, "lead") for text in said if text]
     lead.append(gallery("found") or gallery("measured_simulated"))
     if d.compared == "trajectories":
         lead.append("The record lacks channels from which lift, drag and moment coefficients are formed.")
-    elif by_coefficients and not context.figures:
+    elif whole is not None and not context.figures:
         lead.append(WORDS["paragraphs"]["not_drawn"])
     return Report(
         title=f"Diagnosis: {context.card.title}",
         subtitle=f"The model error, its causes, and the gain of the extended model{FROM_WHAT[d.compared]}",
         verdict=verdict,
         lead=lead,
-        doubts=parts.doubts(context.consistency, context.health, context.failures, corrects=by_coefficients),
+        doubts=parts.doubts(context.consistency, context.health, context.failures, corrects=whole is not None),
         sections=[
             parts.records_section(context),
             section("causes", "Causes of the model error", lambda: _causes(view, context, gallery)),
@@ -367,11 +340,10 @@ def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> Report:
 def _causes(view: DiagnosisView, context: DiagnosisContext, gallery: Gallery) -> list[Any]:
     d, band = view.diagnosis, context.in_band
     shared = "; rivals (last column) share it" if any(c.ambiguous_with for c in d.causes) else ""
-    about = f"{WORDS['paragraphs']['causes']}{shared}.", causes_table(d)
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in view.rankings]
     screens = [screen_table([ranking], d) for ranking in leaders]
     return [
-        about if d.causes else "No cause is named.",
+        (f"{WORDS['paragraphs']['causes']}{shared}.", causes_table(d)) if d.causes else "No cause is named.",
         sentence("minor", beside="", names=d.minor) if d.minor else None,
         parts.terms("glossary"),
         fold("Every candidate's score before anything was added", screens, gallery("ranking")),
@@ -381,26 +353,23 @@ def _causes(view: DiagnosisView, context: DiagnosisContext, gallery: Gallery) ->
 
 
 def _by_coefficients(view: View, context: DiagnosisContext, gallery: Gallery) -> list[Section]:
-    d, labels = view.diagnosis, {"card": "card's model", "extended": "extended model"}
-
     def stall() -> tuple[Any, ...]:
         if not view.stalls:
             return ("CLmax and the stall angle are not given: no coefficients were formed.",)
-        stalls = {labels[key]: s for key, s in view.stalls.items()}
-        said = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
-        return parts.stall_table(stalls, said), gallery("stall_models", "separation_models")
+        about = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
+        stalls = {MODELS[key]: s for key, s in view.stalls.items()}
+        return parts.stall_table(stalls, about), gallery("stall_models", "separation_models")
 
     def residuals() -> Any:
         title = "Residuals: size, composition, autocorrelation, calibration"
-        return fold(title, residual_tables(view), gallery("residual_profiles", "residual_colour"))
+        return fold(title, residual_table(view), gallery("residual_profiles", "residual_colour"))
 
     def moves() -> tuple[Any, ...]:
-        known = parts.symbols(view.parameters, view.moves, degrees=True)
-        return (moves_table(view), known, gallery("moves")) if view.moves else ()
+        return (moves_table(view), parts.symbols(view.parameters, view.moves, degrees=True)) if view.moves else ()
 
     return [
         section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
-        section("open", "Rivals and unexplained structure", lambda: _open(d, context)),
+        section("open", "Rivals and unexplained structure", lambda: _open(view.diagnosis, context)),
         section("fit", "Measured and simulated coefficients", lambda: _coefficients(view)),
         section("trajectories", "Trajectories, before and after", lambda: _flown(view, context)),
         section("stall", "The stall", stall),
@@ -411,11 +380,9 @@ def _by_coefficients(view: View, context: DiagnosisContext, gallery: Gallery) ->
 
 def _flown_alone(view: DiagnosisView, context: DiagnosisContext, rest: Sequence[str]) -> list[Section]:
     """The sections of a diagnosis by trajectories alone or by innovations."""
-    d = view.diagnosis
-    reason = "without accelerometers lift is not measured"
-    if d.compared == "innovations":
-        reason = "a diagnosis by innovations forms no lift coefficient"
-    full = (list(rest), parts.open_list(context.consistency), parts.not_testable_list(d.not_testable))
+    alone = view.diagnosis.compared == "trajectories"
+    reason = "without accelerometers lift is not measured" if alone else "no lift coefficient was formed"
+    full = (rest, parts.open_list(context.consistency), parts.not_testable_list(view.diagnosis.not_testable))
     return [
         section("open", "Findings in full", lambda: full),
         section("trajectories", "Trajectories, before and after", lambda: _flown(view, context)),
@@ -432,28 +399,28 @@ def _flown(view: DiagnosisView, context: DiagnosisContext) -> tuple[Any, ...]:
 
 def _gain(view: View, gallery: Gallery) -> tuple[Any, ...]:
     """Scores on hold-out data, then of the manoeuvres one by one, where they were scored; many are folded."""
-    table = gain_table(view)
-    if table is None:
+    whole = gain_table(view)
+    if whole is None:
         return ("Nothing was added, so there is no gain to report.",)
     each = None if view.holdout is None else holdout_table(view.holdout)
-    return table, fold("The same, manoeuvre by manoeuvre", each) if len(view.names) > FEW else each, gallery("gain")
+    return whole, fold("The same, manoeuvre by manoeuvre", each) if len(view.names) > FEW else each, gallery("gain")
 
 
 def _open(d: Diagnosis, context: DiagnosisContext) -> list[Any]:
-    said, points = findings(d), context.test_points
+    listed, points, sensors = findings(d), context.test_points, context.consistency
     sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
     rivals = f"Rival explanations on this record: {'; '.join(sets)}."
     structure = ("beyond", "unexplained", "terms", "changes")
     apart = {"verdict", "causes", "cancelling", *structure}
-    others = [s for kind, listed in said.items() if kind not in apart for s in listed]
-    sensors = context.consistency
+    others = [text for kind, texts in listed.items() if kind not in apart for text in texts]
+    left = [text for kind in structure for text in listed[kind]]
     return [
         rivals if sets else "No named cause has a rival on this record.",
-        said["cancelling"],
+        listed["cancelling"],
         list(points_sentences(points)),
         points_table(points) if points and points["points"] else None,
         None if sensors is None else (parts.open_sentences(sensors), parts.open_list(sensors)),
-        [s for kind in structure for s in said[kind]] or "No structure remains that a recorded channel predicts.",
+        left or "No structure remains that a recorded channel predicts.",
         terms_table(d) if d.terms else None,
         changes_table(d) if d.changes else None,
         fold("Noise, and effects that this record cannot test", others or "None."),
@@ -463,14 +430,10 @@ def _open(d: Diagnosis, context: DiagnosisContext) -> list[Any]:
 
 def _coefficients(view: View) -> list[Any]:
     shown, more = parts.first(view.names)
-    context = parts.SIX_CONTEXT if set(LATERAL) & set(view.coefficients) else CONTEXT
-    what, plots = "Coefficients measured and simulated by the card's and the extended model, and the controls,", []
+    lateral, plots = bool(set(LATERAL) & set(view.coefficients)), []
+    what = "Coefficients measured and simulated by the card's and the extended model, and the controls,"
     for order, name in enumerate(shown):
-        mine, panels = view.manoeuvre == order, coefficient_panels(view, order)
-        last = panels[0].lines[-1]
-        curves = [(line.label, line.colour, line.style) for line in panels[0].lines]
-        legend = (*curves, (f"error of the {last.label}", last.colour, "area"))
-        moved = {c: np.asarray(view.channels[c], float)[mine] for c in context if c in view.channels}
-        panels += parts.context_panels({c: values for c, values in moved.items() if np.ptp(values) > 0.0})
-        plots.append(parts.histories(name, f"time-coefficients-{order}", view.time[mine], panels, legend, what))
+        mine = view.manoeuvre == order
+        panels = coefficient_panels(view, order) + parts.context_panels(view.channels, mine, lateral=lateral)
+        plots.append(parts.histories(name, f"time-coefficients-{order}", view.time[mine], panels, what))
     return [WORDS["paragraphs"]["coefficients"], more, plots]

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import LITTLE
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -41,14 +40,12 @@ def sentences(view: DiagnosisView) -> list[str]:
 
 def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
     """As `sentences`, of a diagnosis alone."""
-    return [said for listed in findings(d, flown).values() for said in listed]
+    return [text for listed in findings(d, flown).values() for text in listed]
 
 
 def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[str]]:
     """The sentences by what they are on, in the order of reading."""
     bases = {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}
-    left_out = [(c, name, x) for c in d.beyond for name, x in c.parameters.items()]
-    too_large = [(c, name, x, n) for c, name, x in left_out for n in (name, f"1/{name}") if n in c.implausible]
     beside = " in comparison with the unexplained structure" if d.left else ""
     return {
         "verdict": [verdict_sentence(d)],
@@ -57,29 +54,12 @@ def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[
         "signs": sign_sentences(bases, d.parameters, d.following),
         "causes": [_cause(cause) for cause in d.causes],
         "next step": _taken_over(d),
-        "cancelling": [
-            sentence(
-                "cancelling",
-                pair=pair,
-                size=(pair.mean, pair.sd),
-                sign="+" if pair.factor > 0.0 else "-",
-                factor="" if abs(pair.factor) == 1.0 else f"{abs(pair.factor):.3g} ",
-            )
-            for pair in d.together
-        ],
+        "cancelling": [sentence("cancelling", pair=p, size=(p.mean, p.sd)) for p in d.together],
         "absorbed": [
             sentence("absorbed", a=a, sizes=" or ".join(f"{n} {_size(x)}" for n, x in a.sizes.items()))
             for a in d.absorbed
         ],
-        "beyond": [
-            sentence("too_large", name=name, x=x, size=(x.mean, x.sd), large=large, most=(c.implausible[large], 0.0))
-            for c, name, x, large in too_large
-        ]
-        + [
-            sentence("not_alone", name=name, x=x, size=(x.mean, x.sd), joint=joint_text(c.joint))
-            for c, name, x in left_out
-            if not c.implausible
-        ],
+        "beyond": _beyond(d),
         "minor": [sentence("minor", beside=beside, names=d.minor)] if d.minor else [],
         "unexplained": _unexplained(d),
         "terms": _terms(d),
@@ -89,6 +69,17 @@ def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[
         "trajectories": [] if flown is None else trajectory_sentences(flown),
         "notes": list(d.notes),
     }
+
+
+def _beyond(d: Diagnosis) -> list[str]:
+    """What is left out of the model: larger than on any aircraft, then what was estimated together with that."""
+    large, joint = [], []
+    for c, name, x in ((c, name, x) for c in d.beyond for name, x in c.parameters.items()):
+        about = {"name": name, "x": x, "size": (x.mean, x.sd)}
+        limits = {n: (c.implausible[n], 0.0) for n in (name, f"1/{name}") if n in c.implausible}
+        large += [sentence("too_large", **about, large=n, most=most) for n, most in limits.items()]
+        joint += [] if c.implausible else [sentence("not_alone", **about, joint=joint_text(c.joint))]
+    return large + joint
 
 
 def _size(x: Size) -> str:
@@ -109,7 +100,7 @@ def _cause(cause: Cause) -> str:
     for name, largest in cause.implausible.items():
         unit = cause.parameters[name].unit if name in cause.parameters else "1"
         text.append(sentence("implausible", name=name, most=(largest, 0.0), unit=unit))
-    if cause.own_share < LITTLE:
+    if cause.hardly_excited:
         share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"
         text.append(sentence("hardly_excited", share=share))
     if not cause.excited:
@@ -125,14 +116,9 @@ def _cause(cause: Cause) -> str:
 
 def _why_not_confirmed(cause: Cause) -> str:
     """The loss because of which a cause is not confirmed."""
-    worse, gain = [], cause.gain
-    for name, (change, sd) in gain.degraded.items():
-        both = name in gain.before and name in gain.after
-        r2 = f", R² from {gain.before[name].r2:.2f} to {gain.after[name].r2:.2f}" if both else ""
-        worse.append(f"{name} {change:+z.1f} ± {sd:.1f}{r2}")
-    if worse:
+    gain, (lost, sd) = cause.gain, cause.missed
+    if worse := [f"{name} {change:+z.1f} ± {se:.1f}" for name, (change, se) in gain.degraded.items()]:
         return f"with it they are predicted worse: log density of {several(worse)}"
-    lost, sd = cause.missed
     if lost > 0.0 and gain.elpd < 0.0:
         return f"beside the causes before it: log density {gain.elpd:+z.1f} ± {gain.elpd_se:.1f}"
     return f"removed: log density {-lost:+z.1f} ± {sd:.1f}"
@@ -150,75 +136,70 @@ def _taken_over(d: Diagnosis) -> list[str]:
 
 def _unexplained(d: Diagnosis) -> list[str]:
     """Along trajectories an effect may be true and fail its test, which is less powerful than that of the terms."""
-    said, none = [], "explains this" if d.tested is None else "passes its own test along the trajectories"
+    texts, none = [], "explains this" if d.tested is None else "passes its own test along the trajectories"
     for u in d.unknown:
         rivals = several(u.rivals)
         if u.offsets:
             sizes = [f"{name} {size_text(x, sd, '1')}" for name, (x, sd) in u.offsets.items()]
             alike = f" {rivals} would explain them about as well and cannot be told from them." if rivals else ""
-            said.append(sentence("offset", u=u, sizes=sizes, alike=alike))
+            texts.append(sentence("offset", u=u, sizes=sizes, alike=alike))
         else:
-            said.append(sentence("unattributed" if rivals else "unexplained", u=u, rivals=rivals, none=none))
-    return said
+            texts.append(sentence("unattributed" if rivals else "unexplained", u=u, rivals=rivals, none=none))
+    return texts
 
 
 def _terms(d: Diagnosis) -> list[str]:
     """A sentence on each term, and how to put them into a card."""
-    said = []
-    for one in d.terms:
-        past = "" if one.term.code is not None else " It depends on the past, which no effect file can state."
-        others = several([f"{term.name} ({weight:.0%})" for term, weight in one.others], SHOWN)
-        alike = f"These records do not tell it ({one.weight:.0%}) from {others}."
+    texts = []
+    for t in d.terms:
+        past = "" if t.term.code is not None else " It depends on the past, which no effect file can state."
+        others = several([f"{term.name} ({weight:.0%})" for term, weight in t.others], SHOWN)
+        alike = f"These records do not tell it ({t.weight:.0%}) from {others}."
         none = "No other term of the library is as good."
-        said.append(sentence("term", one=one, past=past, alike=alike if one.others else none))
-    return said + ([sentence("write_terms")] if any(one.term.code is not None for one in d.terms) else [])
+        texts.append(sentence("term", t=t, past=past, alike=alike if t.others else none))
+    return texts + ([sentence("write_terms")] if any(t.term.code is not None for t in d.terms) else [])
 
 
 def _noise(d: Diagnosis) -> list[str]:
-    said, noise = [], d.noise
+    texts, noise = [], d.noise
     if noise.of_innovations and noise.coloured:
         lags = [f"{name} ({noise.lag1[name]:.2f})" for name in noise.coloured]
-        said.append(sentence("coloured_innovations", names=lags, more=""))
+        texts.append(sentence("coloured_innovations", names=lags, more=""))
     elif "colored" in noise.labels:
-        lags = ", ".join(f"{name} {value:.2f}" for name, value in noise.lag1.items())
-        said.append(sentence("coloured_noise", lags=lags))
+        texts.append(sentence("coloured_noise", lags=", ".join(f"{name} {x:.2f}" for name, x in noise.lag1.items())))
     if "buffet" in noise.labels:
         growth = ", ".join(f"{name} {value:.1f} times" for name, value in noise.noise_growth.items() if value > 1.05)
-        said.append(sentence("growing_noise", growth=growth))
+        texts.append(sentence("growing_noise", growth=growth))
     if "outliers" in noise.labels:
-        count = ", ".join(f"{name} {n}" for name, n in noise.outliers.items() if n)
-        said.append(f"Noise: outliers were replaced ({count}).")
-    return said
+        texts.append(f"Noise: outliers were replaced ({', '.join(f'{k} {n}' for k, n in noise.outliers.items() if n)}).")
+    return texts
 
 
 def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:
     """The hidden effects, and whether they were found."""
-    answers = WORDS["revealed"]
-    found = []
+    texts = []
     for name, values in effects.items():
         units = {p.name: p.unit for p in CATALOGUE[name].parameters}
         sizes = several(f"{key} = {size_text(x, 0.0, units[key])}" for key, x in values.items())
-        found.append(f"Hidden effect: {name} ({sizes}). {answers[named[name]]}")
-    return found
+        texts.append(f"Hidden effect: {name} ({sizes}). {WORDS['revealed'][named[name]]}")
+    return texts
 
 
-def change_sentences(found: Sequence[ParameterChange]) -> list[str]:
+def change_sentences(changes: Sequence[ParameterChange]) -> list[str]:
     """Parameters that change according to a diagnosis: when, by how much, and possible reasons."""
-    said = []
-    for one in found:
-        begin, end = one.interval
+    texts = []
+    for c in changes:
+        begin, end = c.interval
         span = f" (95 %: {begin:.1f} to {end:.1f} s)" if end > begin else ""
-        when = f"at {one.at:.1f} s of {one.manoeuvre}{span}"
-        if one.between:
-            when = f"from {one.manoeuvre} on" if one.lasts else f"in {one.manoeuvre}"
-        back = "" if one.lasts else ", and the value before in later records"
-        text = [sentence("changed", c=one, when=when, back=back)]
-        if one.ambiguous_with:
-            text.append(sentence("as_well", rivals=one.ambiguous_with))
-        if one.parameter in WORDS["reasons"]:
-            text.append(sentence("reasons", reasons=WORDS["reasons"][one.parameter]))
-        said.append(" ".join(text))
-    return said
+        when = f"at {c.at:.1f} s of {c.manoeuvre}{span}"
+        if c.between:
+            when = f"from {c.manoeuvre} on" if c.lasts else f"in {c.manoeuvre}"
+        back, reasons = "" if c.lasts else ", and the value before in later records", WORDS["reasons"].get(c.parameter)
+        text = [sentence("changed", c=c, when=when, back=back)]
+        text += [sentence("as_well", rivals=c.ambiguous_with)] if c.ambiguous_with else []
+        text += [sentence("reasons", reasons=reasons)] if reasons else []
+        texts.append(" ".join(text))
+    return texts
 
 
 # --- The verdict. It rests on causes that are confirmed, probable and of plausible size.
@@ -228,7 +209,7 @@ def verdict_sentence(d: Diagnosis) -> str:
     """The causes that explain the model error, those that are only named, and the unexplained structure."""
     sure = [c for c in d.causes if c.sure]
     names = f": {several(_named(c, len(sure) <= MAX_SIZED) for c in sure)}{_doubtful(d)}"
-    changes = [f"{one.parameter} changes {'at' if one.between else 'in'} {one.manoeuvre}" for one in d.changes]
+    changes = [f"{c.parameter} changes {'at' if c.between else 'in'} {c.manoeuvre}" for c in d.changes]
     structure = {
         f"{u.coefficient} {'between' if u.offsets else 'over'} {u.channel}{'s' if u.offsets else ''}" for u in d.unknown
     }
@@ -246,18 +227,17 @@ def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: st
     sizes, where = "", ""
     if tested.beyond:  # on hold-out flights where there are any
         unseen = all(math.isfinite(tested.outputs[name].unseen) for name in tested.beyond)
-        listed = {n: one.unseen if unseen else one.fitted for n, one in tested.outputs.items() if one.beyond}
-        sizes = several(f"{symbol(name)} {_rms(name, x)}" for name, x in listed.items())
+        missed = {n: tested.outputs[n].unseen if unseen else tested.outputs[n].fitted for n in tested.beyond}
+        sizes = several(f"{symbol(name)} {_rms(name, x)}" for name, x in missed.items())
         where = "on hold-out flights, " if unseen else ""
     key = "errors_remain" if tested.beyond else "within_noise" if tested.outputs else "error_not_computed"
     rest = sentence(key, where=where, sizes=sizes, sought=sought)
     if sure:
         key = "flown_explain" if d.verdict == "explained" else "flown_improve"
         return f"{sentence(key, n=sure, names=names)} {rest}"
-    no_effect = d.verdict == "no_effect"
-    first = "flown_no_error" if no_effect else "flown_no_reliable" if d.causes else "flown_no_improvement"
+    first = "flown_no_reliable" if d.causes else "flown_no_improvement"
     more = f" {sentence('flown_undecided')}" if d.verdict == "undecided" else ""
-    return f"{sentence(first)}{_doubtful(d)}. {rest}{more}"
+    return f"{sentence('flown_no_error' if d.verdict == 'no_effect' else first)}{_doubtful(d)}. {rest}{more}"
 
 
 def _rms(output: str, value: float) -> str:
@@ -268,10 +248,8 @@ def tested_sentences(d: Diagnosis) -> list[str]:
     """The error of each output against the noise of its sensor, from trajectories alone."""
     if d.tested is None or not d.tested.outputs:
         return []
-    listed = [
-        f"{symbol(name)} {_rms(name, one.fitted)} (noise {_rms(name, one.noise)})"
-        for name, one in d.tested.outputs.items()
-    ]
+    of = d.tested.outputs
+    listed = [f"{symbol(n)} {_rms(n, miss.fitted)} (noise {_rms(n, miss.noise)})" for n, miss in of.items()]
     beyond = [symbol(name) for name in d.tested.beyond]
     return [sentence("tested", listed=listed), *([sentence("tested_beyond", names=beyond)] if beyond else [])]
 
@@ -299,17 +277,17 @@ def _doubtful(d: Diagnosis) -> str:
     return "".join(f"; {why}: {several(names)}" for why, names in reasons.items())
 
 
-def in_band_sentences(found: CausesInBand | None) -> tuple[str, ...]:
+def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
     """Whether the band confirms the causes."""
-    if found is None:
+    if sizes is None:
         return ()
-    band = band_text(found)
-    if not found.converged:
+    band = band_text(sizes)
+    if not sizes.converged:
         return (f"The causes could not be fitted from {band}: the band does not determine them.",)
-    apart = [s for s in found.sizes if s.apart > LIMIT]
-    agree = dict.fromkeys(s.cause for s in found.sizes if s.cause not in {a.cause for a in apart})
-    said = [sentence("band_agrees", band=band, names=agree)] if agree else []
+    apart = [s for s in sizes.sizes if s.apart > LIMIT]
+    agree = dict.fromkeys(s.cause for s in sizes.sizes if s.cause not in {a.cause for a in apart})
+    texts = [sentence("band_agrees", band=band, names=agree)] if agree else []
     for s in apart:
         inside, whole = (in_brackets(Estimate.normal(*size)) for size in (s.in_band, s.coefficients))
-        said.append(sentence("band_differs", s=s, band=band, inside=inside, whole=whole))
-    return (*said, *([f"The band does not show {several(found.unseen)}."] if found.unseen else []))
+        texts.append(sentence("band_differs", s=s, band=band, inside=inside, whole=whole))
+    return (*texts, *([f"The band does not show {several(sizes.unseen)}."] if sizes.unseen else []))

@@ -7,11 +7,10 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Facts, HtmlTable, Plot, Points, Report, fold, section
-from bayes_aero.report.html.plots import LOW, Line, Panel
+from bayes_aero.report.page import Facts, HtmlTable, Plot, Points, Report, fold, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.phrases import WORDS, amounts, for_people, sentence, several, symbol
+from bayes_aero.report.plots import COLOURS, LOW, Line, Panel
 from bayes_aero.report.table import NONE, Column, Table, columns_of, table
 from bayes_aero.units import number
 

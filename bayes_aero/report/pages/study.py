@@ -14,9 +14,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Block, Facts, Report, page_table, picture, section
+from bayes_aero.report.page import Block, Facts, Report, page_table, picture, section
 from bayes_aero.report.phrases import bracket, for_people, plain_unit, sentence, several
+from bayes_aero.report.plots import COLOURS
 from bayes_aero.report.style import NotDrawn, grid_of, housed, save
 from bayes_aero.report.table import columns_of, table
 
