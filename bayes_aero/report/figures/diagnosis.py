@@ -109,18 +109,6 @@ def gain(view: View) -> Figure:
     return figure
 
 
-def channel_label(name: str) -> tuple[str, float]:
-    """Label with unit for an axis, and the factor from SI."""
-    plain = {
-        "X": ("separation point X [-]", 1.0),
-        "elapsed": ("time from start of record [s]", 1.0),
-        "alpha_dot": ("α̇ [deg/s]", 180.0 / np.pi),
-        "mach": ("Mach [-]", 1.0),
-    }
-    shown, unit, factor = channel_axis(name)
-    return plain.get(name, (f"{shown.replace('_', ' ')} {bracket(unit)}", factor))
-
-
 @style.housed
 def residual_profiles(view: View) -> Figure:
     """Mean residual over the channels on which the card's model leaves the clearest trace, before and after."""
@@ -133,9 +121,9 @@ def residual_profiles(view: View) -> Figure:
             if len(channels) < PROFILES and not any(abs(np.corrcoef(*pair)[0, 1]) > COPY for pair in pairs):
                 channels.append(p.channel)
         for ax, channel in zip(row, channels, strict=False):
-            text, factor = channel_label(channel)
+            shown, unit, factor = channel_axis(channel)
             ax.axhline(0.0, color="#777777", lw=0.8, zorder=0)
-            ax.set_xlabel(text)
+            ax.set_xlabel(f"{shown} {bracket(unit)}")
             for label, colour, fitted in models_of(view):
                 p = next(p for p in fitted.profiles[c] if p.channel == channel)
                 look = {"fmt": "o-", "ms": 3.0, "lw": 1.0, "capsize": 2.0, "color": colour}

@@ -18,7 +18,7 @@ from bayes_aero.report import style
 from bayes_aero.report.figures.time_histories import predicted, what_is_shown
 from bayes_aero.report.pages import estimates as comparison
 from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered, unit_of
-from bayes_aero.report.phrases import GREEK, WORDS, bracket, plus_minus, sentence
+from bayes_aero.report.phrases import WORDS, bracket, plus_minus, sentence, symbol
 from bayes_aero.report.plots import COLOURS
 from bayes_aero.report.table import Estimate
 
@@ -182,7 +182,7 @@ def one_step_quantiles(found: ProcessNoise) -> Figure:
         ax.fill_between(score, low, high, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="its 95 % band")
         ax.plot(score, score, color=COLOURS["measured"], lw=0.8, ls=":", label="calibrated")
         ax.plot(score, value, color=COLOURS["after"], marker="o", ms=3.0, label="innovations")
-        ax.set_title(f"{GREEK.get(name, name)}: {one.calibration.value.replace('_', ' ')}")
+        ax.set_title(f"{symbol(name)}: {one.calibration.value.replace('_', ' ')}")
     for ax in axes[-4:]:
         ax.set_xlabel("standard normal [-]")
         ax.tick_params(labelbottom=True)

@@ -184,7 +184,7 @@ def _sensors(report: CheckReport) -> tuple[Any, ...]:
     head = ("error", "claim", "size ± sd", "remark")
     table = HtmlTable("Errors estimated along the flight path", head, rows, words=(1, 2, 3)).lean()
     left = left_over(report)
-    return said, parts.open_list(report.consistency), table if rows else None, f"{left[:1].upper()}{left[1:]}."
+    return said, table if rows else None, f"{left[:1].upper()}{left[1:]}."
 
 
 def _channels(report: CheckReport) -> list[Any]:
@@ -323,7 +323,7 @@ def simulated_page(
         return (
             HtmlTable("True parameters, SI and radians", ("parameter", "value", "remark"), rows, words=(2,)).lean(),
             HtmlTable(title, ("", "value"), tuple(noise)),
-            parts.symbols(parameters, [p.name for p in parameters]),
+            parts.symbols(card, parameters, [p.name for p in parameters]),
         )
 
     return Report(

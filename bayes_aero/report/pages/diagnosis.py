@@ -13,7 +13,6 @@ from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report.figures.diagnosis import coefficient_panels, telling
 from bayes_aero.report.page import Gallery, Report, Section, Text, fold, section
 from bayes_aero.report.pages import parts
-from bayes_aero.report.pages.estimates import band_text
 from bayes_aero.report.pages.findings import diagnosis_sentences, findings, in_band_sentences, sentences
 from bayes_aero.report.pages.qualification import points_sentences, points_table
 from bayes_aero.report.pages.trajectories import simulation_gain, trajectories, trajectory_sentences
@@ -36,9 +35,7 @@ from bayes_aero.report.table import (
     Estimate,
     Table,
     columns_of,
-    in_brackets,
     or_dash,
-    parameter_columns,
     table,
 )
 
@@ -261,31 +258,7 @@ def residual_table(view: View) -> Table:
     return table("residuals", columns)
 
 
-# --- Sizes of the causes in a band of frequencies beside those of the coefficients: a table, and what it says.
-
-
-def in_band_table(found: CausesInBand) -> Table:
-    """A row for each parameter of a cause that the band shows, SI and radians."""
-    sizes, column = found.sizes, columns_of(found.sizes)
-    columns = [
-        column(lambda s: s.cause, "cause", "cause"),
-        *parameter_columns([s.parameter for s in sizes], [s.unit for s in sizes]),
-        column(lambda s: Estimate.normal(*s.coefficients), page="coefficients", form=in_brackets),
-        column(lambda s: Estimate.normal(*s.in_band), page="in the band", form=in_brackets),
-        column(lambda s: s.apart, page="difference\n[standard errors]", form=".1f"),
-    ]
-    return table("in_band", columns, band=band_text(found))
-
-
 # --- The page.
-
-
-def gained(view: View) -> str:
-    """R² of each coefficient on hold-out data before and after, where it changes."""
-    first, last = view.unseen_scores or ({}, {})
-    pairs = {n: (f"{first[n].r2:.3f}", f"{last[n].r2:.3f}") for n in first if n in last}
-    moved = [f"{n} R² from {before} to {after}" for n, (before, after) in pairs.items() if before != after]
-    return f"On hold-out data, before and after: {several(moved)}." if moved else ""
 
 
 FROM_WHAT = {
@@ -315,8 +288,7 @@ def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> Report:
     gallery = Gallery(context.figures, captions)
     verdict, *rest = diagnosis_sentences(d) if whole is not None else sentences(view)
     gain = "" if view.trajectories is None else simulation_gain(view.trajectories)
-    said = [*context.revealed, "" if whole is None else gained(whole), gain]
-    lead: list[Any] = [Text(text, "lead") for text in said if text]
+    lead: list[Any] = [Text(text, "lead") for text in (*context.revealed, gain) if text]
     lead.append(gallery("found") or gallery("measured_simulated"))
     if d.compared == "trajectories":
         lead.append("The record lacks channels from which lift, drag and moment coefficients are formed.")
@@ -338,7 +310,7 @@ def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> Report:
 
 
 def _causes(view: DiagnosisView, context: DiagnosisContext, gallery: Gallery) -> list[Any]:
-    d, band = view.diagnosis, context.in_band
+    d = view.diagnosis
     shared = "; rivals (last column) share it" if any(c.ambiguous_with for c in d.causes) else ""
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in view.rankings]
     screens = [screen_table([ranking], d) for ranking in leaders]
@@ -347,8 +319,7 @@ def _causes(view: DiagnosisView, context: DiagnosisContext, gallery: Gallery) ->
         sentence("minor", beside="", names=d.minor) if d.minor else None,
         parts.terms("glossary"),
         fold("Every candidate's score before anything was added", screens, gallery("ranking")),
-        list(in_band_sentences(band)),
-        in_band_table(band) if band is not None and band.sizes else None,
+        list(in_band_sentences(context.in_band)),
     ]
 
 
@@ -365,7 +336,8 @@ def _by_coefficients(view: View, context: DiagnosisContext, gallery: Gallery) ->
         return fold(title, residual_table(view), gallery("residual_profiles", "residual_colour"))
 
     def moves() -> tuple[Any, ...]:
-        return (moves_table(view), parts.symbols(view.parameters, view.moves, degrees=True)) if view.moves else ()
+        known = parts.symbols(context.card, view.parameters, view.moves, degrees=True)
+        return (moves_table(view), known) if view.moves else ()
 
     return [
         section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
@@ -382,7 +354,7 @@ def _flown_alone(view: DiagnosisView, context: DiagnosisContext, rest: Sequence[
     """The sections of a diagnosis by trajectories alone or by innovations."""
     alone = view.diagnosis.compared == "trajectories"
     reason = "without accelerometers lift is not measured" if alone else "no lift coefficient was formed"
-    full = (rest, parts.open_list(context.consistency), parts.not_testable_list(view.diagnosis.not_testable))
+    full = (rest, parts.not_testable_list(view.diagnosis.not_testable))
     return [
         section("open", "Findings in full", lambda: full),
         section("trajectories", "Trajectories, before and after", lambda: _flown(view, context)),
@@ -419,7 +391,7 @@ def _open(d: Diagnosis, context: DiagnosisContext) -> list[Any]:
         listed["cancelling"],
         list(points_sentences(points)),
         points_table(points) if points and points["points"] else None,
-        None if sensors is None else (parts.open_sentences(sensors), parts.open_list(sensors)),
+        None if sensors is None else parts.open_sentences(sensors),
         left or "No structure remains that a recorded channel predicts.",
         terms_table(d) if d.terms else None,
         changes_table(d) if d.changes else None,

@@ -171,7 +171,9 @@ def _noise(d: Diagnosis) -> list[str]:
         growth = ", ".join(f"{name} {value:.1f} times" for name, value in noise.noise_growth.items() if value > 1.05)
         texts.append(sentence("growing_noise", growth=growth))
     if "outliers" in noise.labels:
-        texts.append(f"Noise: outliers were replaced ({', '.join(f'{k} {n}' for k, n in noise.outliers.items() if n)}).")
+        texts.append(
+            f"Noise: outliers were replaced ({', '.join(f'{k} {n}' for k, n in noise.outliers.items() if n)})."
+        )
     return texts
 
 

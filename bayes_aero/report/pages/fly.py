@@ -24,14 +24,12 @@ from bayes_aero.report.phrases import (
     unit_behind,
     unparted,
 )
-from bayes_aero.report.plots import COLOURS, FLOWN, LOW, Line, Panel, output_panels, stem_of
+from bayes_aero.report.plots import COLOURS, FLOWN, LOW, Line, Panel, output_panels
 from bayes_aero.report.table import (
     NONE,
-    BeforeAfter,
     Column,
     Estimate,
     Table,
-    columns_of,
     in_brackets,
     or_dash,
     parameter_columns,
@@ -204,30 +202,11 @@ def _bounds(bounds: tuple[float, float]) -> str:
 
 def error_table(flown: TrajectoryFit) -> Table:
     """Errors at the first values and of the fit by manoeuvre and output, Theil's parts, and time inside tolerances."""
-    names = [(m, n) for m in flown.manoeuvres for n in flown.path(m, FITTED).errors]
-    pairs = [[flown.path(m, model).errors[n] for model in FLOWN] for m, n in names]
-    factors, fitted = [for_people(flown.units[n])[1] for _, n in names], flown.fit.flown.outputs
-    labels = [_label(flown, n) + ("" if n in fitted else " *") for _, n in names]
-    rms = [BeforeAfter(f * a.rms, f * b.rms) for (a, b), f in zip(pairs, factors, strict=True)]
-    largest = [f * b.largest for (_, b), f in zip(pairs, factors, strict=True)]
-    heads, shares, column = ("first values", "fit"), "shares of the fit's squared error", columns_of(pairs)
-    columns = [
-        Column([m for m, _ in names], terminal="manoeuvre", words=True),
-        Column(labels, "", "output", "output"),
-        Column(rms, "", heads, "RMS: start → fitted", short, group="root mean square"),
-        Column(largest, "", "fit", "largest", short, group="largest"),
-        column(lambda p: p[1].theil.theil, "", "fit", "U", ".3f", group="Theil U"),
-        column(lambda p: p[1].theil.bias, "", "bias", "bias", ".0%", group=shares),
-        column(lambda p: p[1].theil.variance, "", "variance", "var.", ".0%", group=shares),
-        column(lambda p: p[1].theil.covariance, "", "covariance", "cov.", ".0%", group=shares),
-    ]
-    if any(b.tolerance is not None for _, b in pairs):
-        bands = [b.tolerance and f"± {number(f * b.tolerance)}" for (_, b), f in zip(pairs, factors, strict=True)]
-        inside = column(lambda p: BeforeAfter(*(e.within for e in p)), "", heads, form=".0%", group="time inside")
-        columns += [Column(bands, page="tolerance"), inside]
+    fitted, flights = flown.fit.flown.outputs, {m: [flown.path(m, model) for model in FLOWN] for m in flown.manoeuvres}
     initial = "measured" if flown.setting.initial is None else "fixed"
     left = "" if set(flown.outputs) <= set(fitted) else " *: reported, not fitted."
-    return table("errors", columns, below=[m for m, _ in names], left=left, initial=initial)
+    heads = ("first values", "fit")
+    return trajectories.error_table("errors", flights, flown.units, heads, fitted=fitted, left=left, initial=initial)
 
 
 def initial_table(flown: TrajectoryFit) -> Table:
@@ -301,6 +280,7 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Report:
     card, motion, posteriors = context.card, context.motion, context.posteriors
     units = {name: flown.units[name] for name in flown.outputs}
     gallery = Gallery(context.figures, WORDS["captions"])
+    bands = [text for fit in flown.frequency for text in estimates.frequency_sentences(fit)]
     predictions = None if context.process_noise is None else context.process_noise.one_step
     of_path = "Flight path", "Errors of sensors, from recorded accelerations and rates"
     of_model = "Trajectories", "A model fitted to trajectories by output error"
@@ -310,14 +290,14 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Report:
         subtitle=subtitle,
         verdict=verdict,
         doubts=parts.doubts(context.consistency, context.health, context.failures),
-        lead=[_lead(flown), _opening(flown, context)],
+        lead=[_lead(flown)],
         sections=[
             section("findings", "Findings", lambda: ([*rest, *context.notes], parts.terms("terms_of_fly"))),
             parts.records_section(context),
             section("fit", "Measured and simulated", lambda: _flights(flown, units)),
             section("errors", "Errors", lambda: (error_table(flown), trajectories.sources(card, units))),
             section("parameters", "Parameters", lambda: _parameters(flown, context, gallery)),
-            section("frequency", "In the frequency domain", lambda: (_in_bands(flown), gallery("bode"))),
+            section("frequency", "In the frequency domain", lambda: (bands, gallery("bode"))),
             section("motion", "Modes of motion", lambda: mode_table(motion) if motion and motion.modes else None),
             section(
                 "predictions",
@@ -356,13 +336,9 @@ def _parameters(flown: TrajectoryFit, context: FlyContext, gallery: Gallery) -> 
         parameter_table(flown),
         trajectories.process_noise_table(filtered, flown) if filtered and filtered.converged else None,
         gallery("gusts"),
-        parts.symbols(fit.parameters, fit.names, parts.conventions(context.card)),
+        parts.symbols(context.card, fit.parameters, fit.names),
         initial_table(flown),
     ]
-
-
-def _in_bands(flown: TrajectoryFit) -> list[str]:
-    return [text for fit in flown.frequency for text in estimates.frequency_sentences(fit)]
 
 
 def _lead(flown: TrajectoryFit) -> Text:
@@ -374,18 +350,6 @@ def _lead(flown: TrajectoryFit) -> Text:
         before, after, unit = amounts(flown.units[output], *pair)
         listed.append(f"{symbol(output)} {before} → {after}{unit}".replace(" ", "\u00a0"))  # never broken
     return Text(f"Root-mean-square error of the simulation, first values → fit: {several(listed)}.", "lead")
-
-
-def _opening(flown: TrajectoryFit, context: FlyContext) -> Any:
-    """The output that the fit follows least: whose error is the largest share of its movement."""
-    errors = {n: pair for n, pair in flown.rms_errors.items() if stem_of(n) in context.figures and pair[1] > 0.0}
-    if not errors:
-        return None
-    flights = [flown.path(name, FITTED).measured for name in flown.manoeuvres]
-    moved = {n: float(np.sqrt(np.mean([np.var(flight[n]) for flight in flights]))) for n in errors}
-    worst = max(errors, key=lambda n: errors[n][1] / max(moved[n], 1e-300))
-    caption = f"{symbol(worst)}, which the fit follows least: measured and simulated."
-    return Gallery(context.figures, {stem_of(worst): caption})(stem_of(worst))
 
 
 def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:

@@ -297,7 +297,7 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
 def _parameters(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
     return (
         parameter_table(run),
-        parts.symbols(run.model.parameters, ordered(run.mle.names, run.mle.parameters)),
+        parts.symbols(run.card, run.model.parameters, ordered(run.mle.names, run.mle.parameters)),
         gallery("crb_vs_credible", "forest"),  # the high one last: printed, it needs its own sheet
     )
 

@@ -116,15 +116,6 @@ def error_sizes(error: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} {size_text(size['mean'], size['sd'], size['unit'])}" for name, size in listed)
 
 
-def open_list(sensors: Consistency | None) -> Fold | None:
-    """Each error that others imitate, which those are, and how well it is known with them possible."""
-    alike = [] if sensors is None else _not_told_apart(sensors)
-    rows = tuple((e.name, several(e.imitators), f"± {_among(e)}") for e in alike)
-    title = f"The {len(alike)} errors of sensors and winds that others imitate along this flight path"
-    head = ("error", "not distinguishable from", "standard error\nif those are possible")
-    return fold(title, HtmlTable(title, head, rows, words=(1,)) if rows else None)
-
-
 def warnings(sentences: Iterable[str]) -> list[Text]:
     """Sentences that are read first."""
     return [Text(one, "warning") for one in sentences]
@@ -185,17 +176,12 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Any, ...]:
             places = 0 if abs(high) >= 1000.0 else 1
             ranges.append(f"{low:.{places}f} to {high:.{places}f}" if r.has(name) else "–")
         lines.append((r.name, f"{s:.1f}", str(r.n), f"{1.0 / r.dt:.4g}", str(len(r.channels)), *ranges))
-    described = {name: "a channel of the card's own" for record in records for name in record.channels}
-    for name in sorted(described.keys() & STANDARD_CHANNELS.keys()):
-        channel = STANDARD_CHANNELS[name]
-        described[name] = f"{channel.description} [{plain_unit(for_people(channel.unit)[0])}]"
     many = f"{len(records)} manoeuvres" if len(records) > 1 else "One manoeuvre"
     title = "Records: smallest to largest value of the main channels"
     head = ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads)
     return (
         f"{many}, {sum(seconds):.0f} s in all. Aircraft and model: {card.title} (card “{card.name}”).",
         HtmlTable(title, head, tuple(lines)),
-        fold("Channels and signs", Facts(tuple(sorted(described.items()))), conventions(card)),
     )
 
 
@@ -205,22 +191,14 @@ def records_section(context: PageContext | Any) -> Section:
     return section("records", "The records at a glance", lambda: (minor, at_a_glance(context.records, context.card)))
 
 
-def conventions(card: Card) -> str:
-    """Axes and signs of the card's model."""
-    said = WORDS["conventions"]
-    if card.linear is not None:
-        return said["linear"]
-    return f"{said['model']} {said['lateral']}" if Axis.LATERAL in card.axes else said["model"]
-
-
-def symbols(
-    parameters: Iterable[Parameter], names: Iterable[str], said: str = "", *, degrees: bool = False
-) -> Fold | None:
-    """Meaning of each parameter, and the conventions; `degrees` where the page shows angles in degrees."""
-    known = {p.name: p for p in parameters}
+def symbols(card: Card, parameters: Iterable[Parameter], names: Iterable[str], *, degrees: bool = False) -> Fold | None:
+    """Meaning of each parameter, axes and signs of the card's model; `degrees` where the page shows angles so."""
+    known, key = {p.name: p for p in parameters}, "lateral" if Axis.LATERAL in card.axes else ""
     units = {name: for_people(p.unit)[0] if degrees else p.unit for name, p in known.items()}
     facts = [(f"{n} [{plain_unit(units[n])}]", known[n].description) for n in names if n in known]
-    return fold("What the parameters mean", Facts(tuple(facts)), said or WORDS["conventions"]["model"])
+    about = WORDS["conventions"]
+    signs = about["linear"] if card.linear is not None else f"{about['model']} {about.get(key, '')}"
+    return fold("What the parameters mean", Facts(tuple(facts)), signs)
 
 
 def not_testable_list(reasons: Mapping[str, str]) -> Fold | None:

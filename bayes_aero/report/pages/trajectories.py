@@ -143,46 +143,59 @@ def status_sentences(flown: Trajectories) -> list[str]:
 
 # --- Errors and time inside the tolerances, by flight and output.
 
-TAIL = 6  # characters of a manoeuvre's name on a terminal
 SPLIT_NAMES = {"fitted": "fitted", "hold_out": "hold-out"}
 """What people read, by the split of a simulated path."""
 
 
-def hold_out_tables(flown: Trajectories) -> tuple[Table, Table]:
-    """Of both models, fitted jointly and on hold-out flights: root mean square errors, and time inside tolerances."""
-    every = ((split, p.manoeuvre) for split in SPLIT_NAMES for p in flown.paths if p.split == split)
-    pairs = {flight: [flown.path(flight[1], model, flight[0]) for model in MODELS] for flight in dict.fromkeys(every)}
-    # the end of a record's name usually distinguishes records, for the width of a terminal
-    tails = [name if len(name) <= TAIL + 1 else f"…{name[-TAIL:]}" for _, name in pairs]
-    first = [
-        Column(tails, terminal="manoeuvre"),
-        Column([SPLIT_NAMES[split] for split, _ in pairs], terminal=""),
-        Column([f"{name}, {SPLIT_NAMES[split]}" for split, name in pairs], page="flight"),
+def error_table(
+    key: str,
+    flights: Mapping[str, Sequence[SimulatedManoeuvre | None]],
+    units: Mapping[str, str],
+    heads: tuple[str, ...],
+    fitted: Sequence[str] | None = None,
+    **texts: str,
+) -> Table:
+    """A row for each output of each flight: errors of its paths, as `heads` name them; Theil's parts of the last.
+
+    On a page also the time inside tolerances, where there are any, and how probably the whole flight is inside.
+    """
+    each, rows = len(heads) > 1, []
+    for flight, paths in flights.items():
+        for n in next(path for path in paths if path is not None).errors:
+            star = "" if fitted is None or n in fitted else " *"
+            errors = [None if path is None else path.errors[n] for path in paths]
+            rows.append((flight, f"{axis_label(n, units[n])}{star}", errors, for_people(units[n])[1]))
+    rms = [[e and f * e.rms for e in errors] for *_, errors, f in rows]
+    within = [[e and e.within for e in errors] for *_, errors, _ in rows]
+    last, page = [errors[-1] for *_, errors, _ in rows], heads if each else heads[0]
+    shares = "shares of the squared error"
+    largest = [e and f * e.largest for e, (*_, f) in zip(last, rows, strict=True)]
+    columns = [
+        Column([flight for flight, *_ in rows], terminal="manoeuvre", words=True),
+        Column([label for _, label, *_ in rows], "", "output", "output"),
+        Column([BeforeAfter(*x) if each else x[0] for x in rms], "", page, " → ".join(heads), short, group="RMS"),
+        Column(largest, "", heads[-1], "largest", short, group="largest"),
+        Column([e and e.theil.theil for e in last], "", heads[-1], "U", ".3f", group="Theil U"),
     ]
-    errors, inside, heads = [], [], ("before", "after")
-    banded = [n for n in flown.outputs if any(p.errors[n].within is not None for p in flown.paths)]
-    for n in flown.outputs:
-        label, factor = axis_label(n, SI[n]), for_people(SI[n])[1]
-        rms = [BeforeAfter(*(p and factor * p.errors[n].rms for p in pair)) for pair in pairs.values()]
-        errors.append(Column(rms, "", heads, label, short, group=label))
-        within = [BeforeAfter(*(p and p.errors[n].within for p in pair)) for pair in pairs.values()]
-        inside += [Column(within, "", heads, form=".0%", group=label)] if n in banded else []
-    chances = [[p.errors[n].probability for n in banded] if p else [] for _, p in pairs.values()]
-    least = [min((x for x in of if x is not None), default=None) for of in chances]
-    inside.append(Column(least, page="whole flight inside,\nweakest output", form=".0%", group="probability"))
+    for part, head in (("bias", "bias"), ("variance", "var."), ("covariance", "cov.")):
+        columns.append(Column([e and getattr(e.theil, part) for e in last], "", part, head, ".0%", group=shares))
+    if any(x is not None for inside in within for x in inside):
+        bands = [e and e.tolerance and f"± {number(f * e.tolerance)}" for e, (*_, f) in zip(last, rows, strict=True)]
+        columns.append(Column(bands, page="tolerance"))
+        inside = [BeforeAfter(*x) if each else x[0] for x in within]
+        columns.append(Column(inside, page=page, form=".0%", group="time inside"))
+    chances = [e and e.probability for e in last]
+    if any(chance is not None for chance in chances):
+        columns.append(Column(chances, page="whole flight", form=".0%", group="time inside"))
+    return table(key, columns, below=[flight for flight, *_ in rows], **texts)
+
+
+def hold_out_table(flown: Trajectories, splits: Sequence[str] = ("fitted", "hold_out")) -> Table:
+    """Errors of both models, fitted jointly and on hold-out flights."""
+    every = dict.fromkeys((split, p.manoeuvre) for split in splits for p in flown.paths if p.split == split)
+    flights = {f"{m}, {SPLIT_NAMES[split]}": [flown.path(m, model, split) for model in MODELS] for split, m in every}
     status = "".join(f" {text}" for text in status_sentences(flown))
-    return table("hold_out_errors", [*first, *errors], status=status), table("hold_out_tolerances", [*first, *inside])
-
-
-def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
-    """Errors of one model's simulation by flight and output."""
-    columns = [Column([path.manoeuvre for path in paths], page="flight")]
-    for output in paths[0].errors:
-        label, factor = axis_label(output, SI[output]), for_people(SI[output])[1]
-        errors = [path.errors[output] for path in paths]
-        columns.append(Column([factor * error.rms for error in errors], page="RMS", form=short, group=label))
-        columns.append(Column([error.within for error in errors], page="inside", form=".0%", group=label))
-    return table("given", columns)
+    return error_table("hold_out_errors", flights, SI, ("before", "after"), status=status)
 
 
 # --- On a page: errors before and after, and time histories with tolerance bands.
@@ -208,7 +221,7 @@ def trajectories(flown: Trajectories, card: Card) -> list[Any]:
             plots[split].append(replace(plot, caption=f"{about}. {plot.caption}", title=title))
     return [
         f"{WORDS['paragraphs']['trajectories']} {origin}",
-        *hold_out_tables(flown),
+        hold_out_table(flown),
         plots["hold_out"],
         fold("The same, fitted to all flights", plots["fitted"]),
         sources(card, units),
@@ -227,7 +240,8 @@ def given_flights(paths: Sequence[SimulatedManoeuvre], card: Card) -> list[Any]:
     left = [f"The simulation of {path.manoeuvre} leaves the flight envelope." for path in paths if not path.inside]
     remark = parts.first([path.manoeuvre for path in paths])[1]
     text = WORDS["paragraphs"]["given_flights"] + tolerance_band(paths)
-    return [text, parts.warnings(left), remark, plots, given_table(paths), sources(card, units)]
+    errors = error_table("given", {path.manoeuvre: [path] for path in paths}, SI, ("simulation",))
+    return [text, parts.warnings(left), remark, plots, errors, sources(card, units)]
 
 
 def tolerance_band(paths: Sequence[SimulatedManoeuvre]) -> str:
