@@ -93,50 +93,30 @@ def _chains(identification: Identification, kind: str, engine: str) -> Figure:
 
 
 @style.housed
-def pair(identification: Identification) -> Figure:
-    """Scatter of the model's parameters against each other, marginals on the diagonal, by the first engine there is."""
-    engines = chosen_posteriors(identification)
-    if not engines:
+def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
+    """Scatter, by the first sampler, of the parameters that vary together the most, marginals on the diagonal."""
+    if not posteriors:
         raise style.NotDrawn("this run has no posterior")
-    engine, posterior = next(iter(engines.items()))
-    names = ordered((n for n in posterior.names if n in identification.mle.names), identification.mle.parameters)
+    engine, posterior = next(iter(posteriors.items()))
+    names = posterior.most_correlated(MOST_PAIRED)
     if len(names) < 2:
         raise style.NotDrawn("a pair plot needs two parameters")
-    figure = _pair(engine, posterior, names)
-    places = [(row, column) for row in range(len(names)) for column in range(row + 1)]
-    labels = [f"{name} {bracket(unit_of(identification, name))}" for name in names]
-    for ax, (row, column) in zip(figure.axes, places, strict=True):  # a lower triangle, named on its outer axes
-        last = row == len(names) - 1
-        ax.locator_params(nbins=3)
-        ax.tick_params(labelbottom=last, labelleft=column == 0 and row > 0)
-        if row == column:
-            ax.set_yticks([])
-        ax.set_xlabel(labels[column] if last else "")
-        ax.set_ylabel(("density" if row == 0 else labels[row]) if column == 0 else "")
-    figure.suptitle(_title(identification, engine, "Posterior of the model's parameters"))
-    return figure
-
-
-@style.housed
-def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
-    """The same of a fit with process noise, by the first sampler: the parameters that vary together the most."""
-    if not posteriors:
-        raise style.NotDrawn("there is no posterior")
-    engine, posterior = next(iter(posteriors.items()))
-    figure = _pair(engine, posterior, posterior.most_correlated(MOST_PAIRED))
-    title = f"Posterior with process noise by {engine_label(engine)}: the parameters of the largest correlations"
-    figure.suptitle(title)
-    return figure
-
-
-def _pair(engine: str, posterior: Posterior, names: list[str]) -> Figure:
-    """A matrix of panels without the empty ones."""
     side = 1.15 * len(names) + 1.0
     look = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
     tree = _thinned(posterior, names, PAIR_DRAWS)
     figure = _draw("pair", tree, (side, side), visuals={"scatter": look, "dist": {"color": look["color"]}})
     for ax in [ax for ax in figure.axes if not ax.has_data()]:
         ax.remove()
+    places = [(row, column) for row in range(len(names)) for column in range(row + 1)]
+    for ax, (row, column) in zip(figure.axes, places, strict=True):  # a lower triangle, named on its outer axes
+        last = row == len(names) - 1
+        ax.locator_params(nbins=3)
+        ax.tick_params(labelbottom=last, labelleft=column == 0 and row > 0)
+        if row == column:
+            ax.set_yticks([])
+        ax.set_xlabel(f"{names[column]} [SI]" if last else "")
+        ax.set_ylabel(("density" if row == 0 else f"{names[row]} [SI]") if column == 0 else "")
+    figure.suptitle(f"Posterior by {engine_label(engine)}: the parameters of the largest correlations")
     return figure
 
 
@@ -363,6 +343,10 @@ FIGURES: dict[str, style.Drawing] = {
     for engine in ("emcee", "nuts")
     for kind in ("trace", "rank")
 }
-FIGURES |= {"pair": pair, "pit": pit_histogram, "fig5_stall_hysteresis": hysteresis}
+FIGURES |= {
+    "pair": lambda run: pair_of(chosen_posteriors(run)),
+    "pit": pit_histogram,
+    "fig5_stall_hysteresis": hysteresis,
+}
 FIGURES |= {stem: style.housed(partial(_correlation, name=name)) for name, stem in CORRELATIONS.items()}
 FIGURES |= {"next_flight": next_flight, "forest": forest, "crb_vs_credible": crb_vs_credible}

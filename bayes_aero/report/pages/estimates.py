@@ -129,11 +129,8 @@ def alone(run: Identification, name: str) -> dict[str, tuple[float, float, float
 
 def scatter(run: Identification, name: str) -> tuple[float, float] | None:
     """Of a parameter between manoeuvres fitted alone: sd, and the largest difference in its Cramer-Rao errors."""
-    single = list(alone(run, name).values())
-    if len(single) < 2:
-        return None
-    largest = max(abs(a[0] - b[0]) / math.hypot(a[1], b[1]) for a, b in combinations(single, 2))
-    return float(np.std([x for x, _, _ in single], ddof=1)), largest
+    single = [numbers[0] for numbers in alone(run, name).values()]
+    return (float(np.std(single, ddof=1)), _largest(run, name, 1)[0]) if len(single) > 1 else None
 
 
 # --- What an identification says.
@@ -263,36 +260,27 @@ MOST = 6  # parameters that are named one by one
 def between_manoeuvres(run: Identification) -> list[str]:
     """Sentences on differences beyond `LIMIT` standard errors; none if the intervals explain them."""
     compared = [n for n in ordered(run.mle.names, run.mle.parameters) if len(alone(run, n)) > 1]
-    kinds = {"crb": "the Cramér-Rao bound", "crb_corrected": "the corrected bound"}
-    for engine in list(chosen_posteriors(run))[:1]:
-        kinds[engine] = f"the {noise_label(run.noise)} posterior's width"
-    beyond, counts = {}, []
-    for kind, label in kinds.items():
+    beyond, counts = [], []
+    for kind, label in ((1, "the Cramér-Rao bound"), (2, "the corrected bound")):
         far = {n: z for n in compared if (z := _largest(run, n, kind)[0]) > LIMIT}
         listed = several((f"{name} ({z:.1f})" for name, z in far.items()), MOST) or "none"
-        beyond[kind] = set(far)
+        beyond.append(list(far))
         counts.append(f"{label}: {listed}")
-    if not any(beyond.values()):
+    if not any(beyond):
         return []
     sentences, numbers = [sentence("alone_differ", limit=LIMIT, counts="; by ".join(counts))], []
-    wider = [names for kind, names in beyond.items() if kind != "crb"]
-    always = [n for n in compared if all(n in names for names in wider)]
-    for name in always or [n for n in compared if any(n in names for names in wider)]:
-        (_, *pair), single = _largest(run, name, "crb"), alone(run, name)
+    for name in beyond[1]:
+        (_, *pair), single = _largest(run, name, 1), alone(run, name)
         values = " and ".join(f"{single[m][0]:.{decimals(single[m][1])}f} from {m}" for m in pair)
         bound = max(single[m][1] for m in pair)
         numbers.append(f"{name} is {values}, with Cramér-Rao standard errors up to {bound:.2g}")
     return sentences + ([sentence("no_noise_model", numbers="; ".join(numbers))] if numbers else [])
 
 
-def _largest(run: Identification, name: str, kind: str) -> tuple[float, str, str]:
-    """Largest difference of two manoeuvres in standard errors of the difference, and which two."""
-    # manoeuvres were not sampled one by one: their Cramer-Rao deviations times the joint ratio of posterior to bound
-    single, by = alone(run, name), _by_key(run)
-    widen = by[kind].over(by["crb"]).get(name, math.nan)
-    sd = {m: corrected if kind == "crb_corrected" else widen * crb for m, (_, crb, corrected) in single.items()}
-    pairs = combinations(single, 2)
-    return max((abs(single[a][0] - single[b][0]) / math.hypot(sd[a], sd[b]), a, b) for a, b in pairs)
+def _largest(run: Identification, name: str, kind: int) -> tuple[float, str, str]:
+    """Largest difference of two manoeuvres, in Cramer-Rao (1) or corrected (2) errors of the difference, and of which."""
+    pairs = combinations(alone(run, name).items(), 2)
+    return max((abs(x[0] - y[0]) / math.hypot(x[kind], y[kind]), a, b) for (a, x), (b, y) in pairs)
 
 
 def next_flight_sentences(run: Identification) -> list[str]:

@@ -74,7 +74,7 @@ def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[
 def _beyond(d: Diagnosis) -> list[str]:
     """What is left out of the model: larger than on any aircraft, then what was estimated together with that."""
     large, joint = [], []
-    for c, name, x in ((c, name, x) for c in d.beyond for name, x in c.parameters.items()):
+    for c, (name, x) in [(cause, item) for cause in d.beyond for item in cause.parameters.items()]:
         about = {"name": name, "x": x, "size": (x.mean, x.sd)}
         limits = {n: (c.implausible[n], 0.0) for n in (name, f"1/{name}") if n in c.implausible}
         large += [sentence("too_large", **about, large=n, most=most) for n, most in limits.items()]

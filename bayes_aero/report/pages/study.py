@@ -73,40 +73,30 @@ def study_headline(context: StudyContext) -> str:
     if verdicts:
         every = len(verdicts) == 1 and done > 1
         parts.append(several(f"{'all' if every else n} {verdict}" for verdict, n in verdicts.most_common()))
-    for cause, n in causes.most_common(1):
-        parts.append(f"{cause} is named in {n} of {done}")
-    compared, beyond = _beyond(estimates(context.units, context.results))
-    if beyond:
+    parts += [f"{cause} is named in {n} of {done}" for cause, n in causes.most_common(1)]
+    if beyond := _beyond(estimates(context.units, context.results)):
         worst = max(beyond, key=lambda e: e.scatter / e.claimed)
-        ratio = f"{worst.scatter / worst.claimed:.1f} times its intervals"
-        parts.append(f"{worst.label} differs between units by {ratio}")
-    elif compared:
-        parts.append(f"no parameter differs between units by more than {MIN_RATIO:g} times its intervals")
+        parts.append(f"{worst.label} differs between units by {worst.scatter / worst.claimed:.1f} times its intervals")
     return f"{'; '.join(parts)}."
 
 
-def _beyond(found: list[AcrossUnits]) -> tuple[list[AcrossUnits], list[AcrossUnits]]:
-    """Estimates that several units have, by their most trusted method; those that scatter beyond their intervals."""
-    compared = [group[0] for _, group in panels_of(found) if group and len(group[0].value) > 1]
-    return compared, [e for e in compared if e.scatter > MIN_RATIO * e.claimed]
+def _beyond(found: list[AcrossUnits]) -> list[AcrossUnits]:
+    """Estimates that scatter between units beyond their intervals, by their most trusted method."""
+    return [group[0] for _, group in panels_of(found) if group and group[0].scatter > MIN_RATIO * group[0].claimed]
 
 
 def _findings(context: StudyContext, found: list[AcrossUnits]) -> list[str]:
-    """Verdicts by number, causes by how many units name them, and parameters that scatter beyond their intervals."""
-    verdicts, causes, done = context.counted
-    said = []
-    if verdicts:
-        said.append(f"Verdicts: {several(f'{n} {verdict}' for verdict, n in verdicts.most_common())}.")
-    if causes:
-        listed = several(f"{cause} {n}" for cause, n in causes.most_common())
-        said.append(f"Causes, in how many units of {done}: {listed}.")
+    """Causes by how many units name them, records in doubt, and parameters that scatter beyond their intervals."""
+    _, causes, done = context.counted
+    listed = several(f"{cause} {n}" for cause, n in causes.most_common())
+    texts = [f"Causes, in how many units of {done}: {listed}."] if causes else []
     doubtful = context.units[context.units["doubts"] != ""]
     if len(doubtful):
         listed = "; ".join(f"{name}: {why}" for name, why in zip(doubtful["unit"], doubtful["doubts"], strict=True))
-        said.append(f"Records are in doubt in {len(doubtful)} of {done} units: {listed}.")
-    if beyond := [f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in _beyond(found)[1]]:
-        said.append(sentence("units_differ", estimates=beyond))
-    return said
+        texts.append(f"Records are in doubt in {len(doubtful)} of {done} units: {listed}.")
+    if beyond := [f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in _beyond(found)]:
+        texts.append(sentence("units_differ", estimates=beyond))
+    return texts
 
 
 def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
@@ -116,11 +106,9 @@ def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
         save(across(found), path)
     except NotDrawn:
         return ()
-    groups = [group[0] for _, group in panels_of(found) if group]
-    more = f" The first {MOST_PANELS} of {len(groups)} parameters." if len(groups) > MOST_PANELS else ""
-    bars = "with its 95 % interval" if max(e.unit.max() for e in found) <= MOST_BARS else "without its interval"
-    caption = f"Every unit's estimate {bars}, by the unit's number in the table below.{more}"
-    return (picture(path, caption),)
+    return (
+        picture(path, f"Every unit's estimate, by its number in the table below; {MOST_PANELS} parameters at most."),
+    )
 
 
 def _across(found: list[AcrossUnits]) -> tuple[Any, ...]:
@@ -147,11 +135,9 @@ def _units(units: pd.DataFrame, folder: Path) -> Block:
     shown = shown.sort_values("state", key=lambda s: s == "done", kind="stable").head(MOST_UNITS)
     column, left = columns_of(shown.to_dict("records")), len(units) - len(shown)
     columns = [
-        column(lambda row: row["unit"], page="unit"),
-        column(lambda row: row["number"], page="number"),
-        column(lambda row: row["state"], page="state", words=True),
-        column(lambda row: row["seconds"], page="time", form=lambda seconds: f"{seconds:.0f} s"),
-        *(column(lambda row, key=key: row[key] or None, page=key, words=True) for key in ("verdict", "error")),
+        *(column(lambda row, key=key: row[key], page=key) for key in ("unit", "number")),
+        *(column(lambda row, key=key: row[key] or None, page=key, words=True) for key in ("state", "verdict", "error")),
+        column(lambda row: row["seconds"], page="time [s]", form=".0f"),
     ]
     more = f"{left} more are in units.csv." if left else ""
     paths = [(name, folder / "units" / name / "report.html") for name in map(str, shown["unit"])]
