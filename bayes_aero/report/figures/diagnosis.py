@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.signal import welch
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report import style
@@ -139,22 +138,17 @@ def residual_profiles(view: View) -> Figure:
 
 @style.housed
 def residual_colour(view: View) -> Figure:
-    """Autocorrelation and spectrum of the residuals, before and after."""
+    """Autocorrelation of the residuals, before and after."""
     names, dt = view.coefficients, view.seconds
-    figure, axes = style.panels(2, len(names), (4.0 * len(names) + 1.0, 6.4), sharex="row")
-    for c, (name, (above, below)) in enumerate(zip(names, axes.T, strict=True)):
+    figure, axes = style.panels(1, len(names), (4.0 * len(names) + 1.0, 3.6))
+    for c, (name, ax) in enumerate(zip(names, axes[0], strict=True)):
         for label, colour, fitted in models_of(view):
             parts = [fitted.residual[view.manoeuvre == k, c] for k in range(len(view.names))]
             lags, correlation = autocorrelation(parts, round(LONGEST_LAG / dt))
-            above.plot(dt * lags, correlation, color=colour, label=label)
-            frequency, density = spectrum(parts, dt)
-            below.loglog(frequency[1:], density[1:], color=colour)
-        above.axhline(0.0, color="#777777", lw=0.8, zorder=0)
-        above.set(title=name, xlabel="lag [s]")
-        below.set_xlabel("frequency [Hz]")
+            ax.plot(dt * lags, correlation, color=colour, label=label)
+        ax.axhline(0.0, color="#777777", lw=0.8, zorder=0)
+        ax.set(title=name, xlabel="lag [s]")
     axes[0, 0].set_ylabel("autocorrelation of the residual [-]")
-    axes[1, 0].set_ylabel("power spectral density [1/Hz]")
-    figure.suptitle("Autocorrelation of the residuals")
     style.legend_below(figure, axes[0, 0])
     return figure
 
@@ -165,13 +159,6 @@ def autocorrelation(parts: list[Float[np.ndarray, " _"]], longest: int) -> tuple
     lags = np.arange(min(longest, min(len(p) for p in parts) - 1) + 1)
     products = [sum(float(p[lag:] @ p[: len(p) - lag]) for p in centred) for lag in lags]
     return lags, np.array(products) / max(products[0], 1e-300)
-
-
-def spectrum(parts: list[Float[np.ndarray, " _"]], dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Welch's power spectral density, averaged over manoeuvres by their length."""
-    segment = min(*(len(p) for p in parts), round(25.0 / dt))
-    found = [welch(p, 1.0 / dt, nperseg=segment) for p in parts]
-    return found[0][0], np.average([f[1] for f in found], axis=0, weights=[len(p) for p in parts])
 
 
 # --- A diagnosis in one figure: the largest error of the card's model, the screening, the error of the extended

@@ -18,7 +18,7 @@ from bayes_aero.report import style
 from bayes_aero.report.figures.time_histories import predicted, what_is_shown
 from bayes_aero.report.pages import estimates as comparison
 from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered, unit_of
-from bayes_aero.report.phrases import WORDS, bracket, plus_minus, sentence, symbol
+from bayes_aero.report.phrases import bracket, plus_minus, symbol
 from bayes_aero.report.plots import COLOURS
 from bayes_aero.report.table import Estimate
 
@@ -122,9 +122,6 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
 
 # --- Calibration of predictions: histograms of the probability integral transform, and quantiles of innovations.
 
-SLIGHT = 0.1  # correlation of neighbours up to which the band's independence is near enough; our choice
-CHANCE = 3.0  # deviations of the correlation of independent neighbours
-
 
 @style.housed
 def pit_histogram(identification: Identification) -> Figure:
@@ -171,20 +168,6 @@ def one_step_quantiles(found: ProcessNoise) -> Figure:
     style.legend_below(figure, axes[0], 3)
     figure.suptitle("Quantiles of innovations, predicted one step ahead")
     return figure
-
-
-def pit_caption(identification: Identification) -> str:
-    """Caption of `pit_histogram`."""
-    t = identification.pit
-    assert t is not None, "the figure was drawn"
-    correlations = dict(zip(identification.observations.coefficients, t.correlation, strict=True))
-    limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
-    coloured = [name for name, r in correlations.items() if abs(r) > limit]
-    white = identification.noise == "white"
-    listed = [f"{name} {r:+.2f}" for name, r in correlations.items()]
-    how = sentence("pit_white" if white else "pit_coloured", listed=listed)
-    narrow = sentence("pit_narrow", names=coloured) if coloured else ""
-    return f"{WORDS['captions']['pit']} {how} {narrow}".strip()
 
 
 # --- The seed paper's figures without time: measured against predicted, and the stall hysteresis.
@@ -242,46 +225,17 @@ def hysteresis(identification: Identification) -> Figure:
 
 GREY = "#555555"  # of what has no colour of its own
 MARKERS = {"crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^"}
-Lines = list[tuple[str, str, Estimate]]
-"""Label, role of the colour, and estimate of each line of a forest panel."""
 
 
 @style.housed
 def forest(identification: Identification) -> Figure:
     """Every parameter by every method, with 95 % intervals and numbers; one panel per parameter, in its own unit."""
-    table: dict[str, Lines] = {}
+    table: dict[str, list[tuple[str, str, Estimate]]] = {}  # label, role of the colour, estimate
     for name in ordered(identification.mle.names, identification.mle.parameters):
         every = [(m, m.estimates[name]) for m in comparison.methods(identification) if name in m.estimates]
         table[name] = [(m.label, m.key, e) for m, e in every if np.isfinite(e.sd)]
         for manoeuvre, (x, _, corrected) in comparison.alone(identification, name).items():
             table[name].append((f"{manoeuvre} alone, ML", "alone", Estimate.normal(x, corrected)))
-    title = "Estimates with 95 % intervals, and estimate ± standard deviation\none manoeuvre alone: corrected bound"
-    return _forest(identification, table, title)
-
-
-@style.housed
-def next_flight(identification: Identification) -> Figure:
-    """Joint fit, manoeuvres alone and pooled, aircraft and next flight, with 95 % intervals; a panel a parameter."""
-    pooled, mle = identification.next_flight, identification.mle
-    if pooled is None:
-        raise style.NotDrawn("the manoeuvres were not pooled; ask for the next flight")
-    style.refuse_many(len(pooled.manoeuvres))
-    table: dict[str, Lines] = {}
-    bound = comparison.bounds(mle, mle.crb_corrected)
-    for name in ordered(pooled.aircraft, pooled.parameters):
-        table[name] = [("joint fit", "mle", bound[name])] if np.isfinite(bound[name].sd) else []
-        for m in pooled.manoeuvres:
-            if name in pooled.alone[m]:
-                table[name].append((f"{m} alone", "prior", Estimate.normal(*pooled.alone[m][name])))
-            table[name].append((f"{m} pooled", "alone", Estimate.of(pooled.pooled[m][name])))
-        table[name].append(("aircraft", "nuts", Estimate.of(pooled.aircraft[name])))
-        table[name].append(("next flight", "scatter", Estimate.of(pooled.following[name])))
-    title = "Manoeuvres alone and pooled, and the next flight\n95 % intervals; numbers: ± standard deviation"
-    return _forest(identification, table, title)
-
-
-def _forest(identification: Identification, table: Mapping[str, Lines], title: str) -> Figure:
-    """A panel for each parameter with a line for each of its intervals."""
     labels = list(dict.fromkeys(label for lines in table.values() for label, *_ in lines))
     columns = min(2, len(table))  # three would not be legible on a page
     figure, axes = style.grid_of(len(table), columns, (5.4, 0.2 * len(labels) + 0.85))
@@ -300,7 +254,8 @@ def _forest(identification: Identification, table: Mapping[str, Lines], title: s
         ax.grid(axis="y", visible=False)
         ax.tick_params(axis="y", length=0)
         ax.set_xlabel(f"{name} {bracket(unit_of(identification, name))}", labelpad=1)
-    figure.suptitle(title)
+    note = "one manoeuvre alone: corrected bound"
+    figure.suptitle(f"Estimates with 95 % intervals, and estimate ± standard deviation\n{note}")
     return figure
 
 
@@ -349,4 +304,4 @@ FIGURES |= {
     "fig5_stall_hysteresis": hysteresis,
 }
 FIGURES |= {stem: style.housed(partial(_correlation, name=name)) for name, stem in CORRELATIONS.items()}
-FIGURES |= {"next_flight": next_flight, "forest": forest, "crb_vs_credible": crb_vs_credible}
+FIGURES |= {"forest": forest, "crb_vs_credible": crb_vs_credible}

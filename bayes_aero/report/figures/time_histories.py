@@ -101,14 +101,9 @@ def predicted(identification: Identification, coefficient: str) -> pd.DataFrame:
 
 
 def what_is_shown(identification: Identification) -> str:
-    """What the predictions were trained on and where they are shown, for titles."""
-    if identification.gp is None:
-        return "fit to all samples"
-    return {
-        "random": "trained on a random 70 % of the samples, shown on the rest",
-        "block": "trained on 70 % of the contiguous blocks, shown on the rest",
-        "manoeuvre": "each manoeuvre predicted from the others",
-    }[identification.gp.chosen]
+    """Where the predictions are shown, for titles."""
+    gp = identification.gp
+    return "fit to all samples" if gp is None else f"test points of the {gp.chosen} split"
 
 
 def broken(time: np.ndarray, *columns: np.ndarray, gap: float = 1.0) -> tuple[np.ndarray, ...]:

@@ -365,8 +365,7 @@ def _flown_alone(view: DiagnosisView, context: DiagnosisContext, rest: Sequence[
 def _flown(view: DiagnosisView, context: DiagnosisContext) -> tuple[Any, ...]:
     if view.trajectories is None:
         return ("No trajectories were simulated in this run.",)
-    remarks = trajectory_sentences(view.trajectories, tolerances=False)  # the table has those
-    return trajectories(view.trajectories, context.card), remarks
+    return trajectories(view.trajectories, context.card), trajectory_sentences(view.trajectories)
 
 
 def _gain(view: View, gallery: Gallery) -> tuple[Any, ...]:

@@ -278,7 +278,7 @@ def between_manoeuvres(run: Identification) -> list[str]:
 
 
 def _largest(run: Identification, name: str, kind: int) -> tuple[float, str, str]:
-    """Largest difference of two manoeuvres, in Cramer-Rao (1) or corrected (2) errors of the difference, and of which."""
+    """Largest difference of two manoeuvres, in Cramer-Rao (1) or corrected (2) errors of the difference."""
     pairs = combinations(alone(run, name).items(), 2)
     return max((abs(x[0] - y[0]) / math.hypot(x[kind], y[kind]), a, b) for (a, x), (b, y) in pairs)
 

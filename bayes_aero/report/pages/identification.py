@@ -11,7 +11,7 @@ import numpy as np
 from bayes_aero.effect import Stage
 from bayes_aero.flight.health import only_following
 from bayes_aero.physics.aircraft import Axis
-from bayes_aero.report.figures.posterior import CORRELATIONS, pit_caption
+from bayes_aero.report.figures.posterior import CORRELATIONS
 from bayes_aero.report.page import Gallery, Report, fold, section
 from bayes_aero.report.pages import estimates, parts
 from bayes_aero.report.pages.estimates import engine_label, noise_label, ordered, unit_of
@@ -220,11 +220,7 @@ def identification_page(
             section("simulated", "Measured and simulated", lambda: given_flights(flown, run.card)),
             section("stall", "The stall", lambda: _stall(run, gallery)),
             section("parameters", "Parameters", lambda: _parameters(run, gallery)),
-            section(
-                "next-flight",
-                "The next flight",
-                lambda: (next_flight_table(run), gallery("next_flight")) if pooled else None,
-            ),
+            section("next-flight", "The next flight", lambda: next_flight_table(run) if pooled else None),
             section("prediction", "Prediction of hold-out data", lambda: _validation(run, gallery)),
             section("diagnostics", "Diagnostics", lambda: _diagnostics(run, gallery)),
             parts.provenance_section(source, run.notes, run.seconds),
@@ -239,7 +235,7 @@ def _captions(run: Identification) -> dict[str, str]:
     for engine in run.posteriors:
         captions |= {f"{kind}_{engine}": captions[kind].format(engine_label(engine)) for kind in ("trace", "rank")}
     captions |= {CORRELATIONS[c]: captions["correlation"].format(c) for c in run.mle.fit}
-    return captions | ({} if run.pit is None else {"pit": pit_caption(run)})
+    return captions
 
 
 def headline(run: Identification) -> str:

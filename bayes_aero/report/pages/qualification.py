@@ -198,20 +198,6 @@ def test_table(found: Qualification) -> Table:
     return table("tests", columns, index=3, below=below)
 
 
-def outside_table(found: Qualification) -> Table:
-    """A row for each motion that leaves the flown region."""
-    column = columns_of(list(found.outside))
-    columns = [
-        column(lambda o: o.manoeuvre, "manoeuvre", "manoeuvre"),
-        column(lambda o: o.motion, "motion", "motion", words=True),
-        column(lambda o: o.share, "share", "samples\noutside", form=".0%"),
-        column(lambda o: o.distance, "distance", "farthest", form=".2f"),
-        column(lambda o: o.time, "time", "at, s", form=".1f"),
-        column(_excess, "", "from the nearest flown point", words=True),
-    ]
-    return table("region", columns, channels=found.channels)
-
-
 def _excess(o: result.Outside) -> str:
     """By channel, in the units of people; what is less than a thousandth of a unit is left out."""
     units = {name: for_people(STANDARD_CHANNELS[name].unit) for name in o.excess}
@@ -289,9 +275,7 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
             section("further", "What would decide the rest", lambda: (list(further_sentences(further)), what)),
             section("strips", "Strips", strips),
             section("tests", "Every test", lambda: test_table(found)),
-            section(
-                "region", "Extrapolation", lambda: outside_table(found) if found.outside else region_sentences(found)
-            ),
+            section("region", "Extrapolation", lambda: region_sentences(found)),
             section("counted", "What is counted", lambda: counted),
             section("rule", "The rule, and what of it was read", lambda: (read, fold(ORIGIN, Facts(tolerances)))),
             parts.provenance_section(source, folded=True),

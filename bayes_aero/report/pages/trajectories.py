@@ -66,8 +66,8 @@ def simulation_gain(flown: Trajectories) -> str:
     return " ".join([gain, *status_sentences(flown)])
 
 
-def trajectory_sentences(flown: Trajectories, *, tolerances: bool = True) -> list[str]:
-    """How the fits ended, what was held, and, if asked, the share of time within the tolerances."""
+def trajectory_sentences(flown: Trajectories) -> list[str]:
+    """How the fits ended, what was held, and what the tests of a lag and of causes gave."""
     sentences = [*status_sentences(flown), *lag_sentences(flown), *cause_sentences(flown)]
     sentences += [sentence("held_alone", name=name, held=held) for name, held in flown.held.items() if held]
     if flown.extended.held:
@@ -75,16 +75,6 @@ def trajectory_sentences(flown: Trajectories, *, tolerances: bool = True) -> lis
     unseen = [p for p in flown.paths if (p.model, p.split) == ("extended", "hold_out")]
     if lost := [p.manoeuvre for p in unseen if not p.inside]:
         sentences.append(sentence("leaves_envelope", names=lost))
-    shares: dict[str, float] = {}
-    inside = [p for p in unseen if p.inside]
-    for output in flown.outputs if tolerances else ():
-        within = [x for p in inside if (x := p.errors[output].within) is not None]
-        shares |= {output: min(within)} if within else {}
-    if shares:
-        listed = ", ".join(f"{symbol(output)} {share:.0%}" for output, share in shares.items())
-        what = "every flight is" if len(inside) > 1 else f"{inside[0].manoeuvre} is"
-        origin = tolerance_origin({n: e.tolerance for n, e in inside[0].errors.items() if e.tolerance is not None})
-        sentences.append(sentence("within_tolerance", what=what, listed=listed, origin=origin))
     return sentences
 
 
@@ -183,7 +173,8 @@ def error_table(
         bands = [e and e.tolerance and f"± {number(f * e.tolerance)}" for e, (*_, f) in zip(last, rows, strict=True)]
         columns.append(Column(bands, page="tolerance"))
         inside = [BeforeAfter(*x) if each else x[0] for x in within]
-        columns.append(Column(inside, page=page, form=".0%", group="time inside"))
+        terminal = "inside" if fitted is None else None  # where there is room for it
+        columns.append(Column(inside, "", page, terminal, ".0%", group="time inside"))
     chances = [e and e.probability for e in last]
     if any(chance is not None for chance in chances):
         columns.append(Column(chances, page="whole flight", form=".0%", group="time inside"))
