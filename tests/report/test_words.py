@@ -73,7 +73,7 @@ SAID = [  # how the run is made (None: as `full`), words of the one sentence, wh
     (WIDER, "weighs the data differently", None),
     (None, "mean function is wrong, or the residual", ["Cma (6.7)"]),  # 0.3 / hypot(0.02, 0.04)
     (WIDER, "mean function is wrong, or the residual", None),
-    (None, "Fitted alone", ["Cramér-Rao bound: Cmde (42.4)", "corrected bound: Cmde (10.6)", "width: Cmde (21.2)"]),
+    (None, "Fitted alone", ["Cramér-Rao bound: Cmde (42.4)", "corrected bound: Cmde (10.6)"]),
     ({"apart": {"Cmde": 3.0}}, "Fitted alone", None),
     (SLIGHT, "Fitted alone", ["Cramér-Rao bound: Cmde (5.7); by the corrected bound: none"]),
     (None, "No noise model alone explains", ["Cmde is -0.800 from flight1 and -1.400 from flight2", "lacks an effect"]),
