@@ -103,8 +103,7 @@ def diagnose(
     with terminal.loading():
         from bayes_aero.jobs.catalogue import refuse_existing, write_effects
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
-        from bayes_aero.report.pages.diagnosis import causes_table, screen_table
-        from bayes_aero.report.pages.findings import in_band_sentences, revealed, sentences
+        from bayes_aero.report.pages.diagnosis import causes_table, in_band_sentences, revealed, screen_table, sentences
         from bayes_aero.report.pages.qualification import points_sentences
         from bayes_aero.report.pages.trajectories import hold_out_table
 

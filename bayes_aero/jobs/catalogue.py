@@ -81,7 +81,7 @@ def write_effects_page(
     found: Sequence[Mapping[str, Any]], schema: str, card: Card | None, out: Path
 ) -> tuple[str, ...]:
     """Write effects.json, report.html and its picture into `out`; a sentence on what of the page cannot be made."""
-    from bayes_aero.report.figures.prior import channels_needed
+    from bayes_aero.report.figures.posterior import channels_needed
     from bayes_aero.report.page import Gallery, Report, put_page
     from bayes_aero.report.pages.check import effects_page, picture_words
     from bayes_aero.report.style import save

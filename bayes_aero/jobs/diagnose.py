@@ -45,10 +45,10 @@ from bayes_aero.report.pages.diagnosis import (
     causes_table,
     changes_table,
     diagnosis_page,
+    revealed,
     screen_table,
     terms_table,
 )
-from bayes_aero.report.pages.findings import revealed
 from bayes_aero.report.pages.qualification import points_table
 from bayes_aero.report.table import write_csv
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable

@@ -41,7 +41,7 @@ from bayes_aero.flight.health import OpenError
 from bayes_aero.inference.results import Scores, ScoreStatus
 from bayes_aero.model.model import lengths_of
 from bayes_aero.physics.aircraft import NAMES, NO_AIRCRAFT
-from bayes_aero.report.pages.findings import diagnosis_sentences, verdict_sentence
+from bayes_aero.report.pages.diagnosis import diagnosis_sentences, verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
 
 

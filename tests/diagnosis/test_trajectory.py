@@ -62,7 +62,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.aircraft import FLIGHT
-from bayes_aero.report.pages.findings import in_band_sentences
+from bayes_aero.report.pages.diagnosis import in_band_sentences
 from bayes_aero.report.pages.fly import disagreement_sentences
 from bayes_aero.report.pages.trajectories import settled_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall

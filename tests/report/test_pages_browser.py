@@ -23,7 +23,7 @@ from report_samples import CARD, flight, records, study_told
 from bayes_aero.flight.card import read_card
 from bayes_aero.jobs.catalogue import effect_facts, known_effects, write_effects_page
 from bayes_aero.jobs.store import provenance
-from bayes_aero.report.figures import posterior, prior
+from bayes_aero.report.figures import posterior
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.page import section, write_page
 from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
@@ -36,7 +36,7 @@ pytestmark = needed
 
 HOSTILE = """<img src=x onerror=alert(1)>$$x^2$$"'&_a_name_that_is_long_enough_to_leave_a_phone"""
 DRAWN = {
-    **{stem: prior.FIGURES[stem] for stem in ("stall", "separation")},
+    **{stem: posterior.FIGURES[stem] for stem in ("stall", "separation")},
     "forest": posterior.forest,
     "crb_vs_credible": posterior.crb_vs_credible,
 }

@@ -21,8 +21,7 @@ from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, d
 from bayes_aero.report.figures.posterior import pit_histogram
 from bayes_aero.report.figures.time_histories import broken, predicted
 from bayes_aero.report.page import Fold, Picture, page_table
-from bayes_aero.report.pages.diagnosis import causes_table, probability, screen_table
-from bayes_aero.report.pages.findings import revealed, sentences
+from bayes_aero.report.pages.diagnosis import causes_table, probability, revealed, screen_table, sentences
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.phrases import size_text, symbol
 from bayes_aero.report.style import NotDrawn, close, save

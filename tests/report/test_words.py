@@ -23,9 +23,8 @@ from bayes_aero.jobs.store import plain
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.report import phrases
-from bayes_aero.report.pages.diagnosis import changes_table
+from bayes_aero.report.pages.diagnosis import change_sentences, changes_table, diagnosis_sentences
 from bayes_aero.report.pages.estimates import sign_sentences, verdict
-from bayes_aero.report.pages.findings import change_sentences, diagnosis_sentences
 from bayes_aero.report.pages.identification import headline
 from bayes_aero.report.phrases import WORDS, filled, is_doubtful, not_testable_sentences, several
 

@@ -50,8 +50,8 @@ from bayes_aero.jobs.store import picked
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.report.figures.every_figure import FIGURES
+from bayes_aero.report.pages.diagnosis import sentences
 from bayes_aero.report.pages.estimates import flown
-from bayes_aero.report.pages.findings import sentences
 from bayes_aero.report.pages.fly import parameter_rows
 from bayes_aero.report.pages.identification import next_flight_table, parameter_table, validation_table
 from bayes_aero.report.table import write_csv

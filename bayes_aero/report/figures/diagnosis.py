@@ -74,7 +74,6 @@ def ranking(view: View) -> Figure:
 
 
 def _rows_of(ax: Axes, names: Sequence[str]) -> None:
-    """Names of horizontal bars, the first at the top."""
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.grid(False, axis="y")

@@ -11,17 +11,17 @@ from matplotlib.figure import Figure
 
 from bayes_aero.errors import failure
 from bayes_aero.progress import Progress
-from bayes_aero.report.figures import diagnosis, posterior, prior, time_histories
+from bayes_aero.report.figures import diagnosis, posterior, time_histories
 from bayes_aero.report.style import Drawing, NotDrawn, save
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import View
 
 ViewFigures = Mapping[str, Callable[["View"], Figure]]
-FIGURES: dict[str, Drawing] = dict(sorted((posterior.FIGURES | prior.FIGURES | time_histories.FIGURES).items()))
+FIGURES: dict[str, Drawing] = dict(sorted((posterior.FIGURES | time_histories.FIGURES).items()))
 """What an identification shows: the seed paper's nine under its numbers, then what Bayesian identification adds."""
 DIAGNOSIS_FIGURES: ViewFigures = (
-    diagnosis.DIAGNOSIS_FIGURES | prior.DIAGNOSIS_FIGURES | {"trajectories_hold_out": time_histories.hold_out}
+    diagnosis.DIAGNOSIS_FIGURES | posterior.DIAGNOSIS_FIGURES | {"trajectories_hold_out": time_histories.hold_out}
 )
 """What a diagnosis shows."""
 AFTER_TRAJECTORIES = ("found", "trajectories_hold_out")

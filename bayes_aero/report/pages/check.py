@@ -427,7 +427,7 @@ def effects_page(
 
 def picture_words(found: Sequence[Described]) -> tuple[str, str]:
     """Caption and alternative text of the picture of channels."""
-    from bayes_aero.report.figures.prior import needed  # matplotlib, which a check on a terminal does not need
+    from bayes_aero.report.figures.posterior import needed  # matplotlib, which a check on a terminal does not need
 
     listed = several(f"{channel} by {kinds.total()}" for channel, kinds in needed(found).items())
     return (

@@ -1,7 +1,8 @@
-"""What a diagnosis shows: tables of causes and candidates, both models side by side; its page."""
+"""What a diagnosis says and shows: verdict, causes, what stays unexplained, tables, both models; its page."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, cast
@@ -9,23 +10,29 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pandas as pd
 
+from bayes_aero.effect import Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report.figures.diagnosis import coefficient_panels, telling
 from bayes_aero.report.page import Gallery, Report, Section, Text, fold, section
 from bayes_aero.report.pages import parts
-from bayes_aero.report.pages.findings import diagnosis_sentences, findings, in_band_sentences, sentences
+from bayes_aero.report.pages.estimates import LIMIT, band_text, sign_sentences
 from bayes_aero.report.pages.qualification import points_sentences, points_table
-from bayes_aero.report.pages.trajectories import simulation_gain, trajectories, trajectory_sentences
+from bayes_aero.report.pages.trajectories import gust_sentences, simulation_gain, trajectories, trajectory_sentences
 from bayes_aero.report.phrases import (
     WORDS,
+    amounts,
     bracket,
     filled,
     for_people,
     from_to,
+    not_testable_sentences,
     plain_unit,
     sentence,
     several,
     size_text,
+    symbol,
 )
 from bayes_aero.report.plots import MODELS
 from bayes_aero.report.table import (
@@ -35,12 +42,287 @@ from bayes_aero.report.table import (
     Estimate,
     Table,
     columns_of,
+    in_brackets,
     or_dash,
     table,
 )
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import Cause, CausesInBand, Diagnosis, DiagnosisView, HoldoutScores, Ranking, View
+    from bayes_aero.diagnosis.result import (
+        Cause,
+        CausesInBand,
+        Diagnosis,
+        DiagnosisView,
+        HoldoutScores,
+        ParameterChange,
+        Ranking,
+        Size,
+        Tested,
+        Trajectories,
+        View,
+    )
+
+
+SHOWN = 4  # other terms that are named
+MAX_SIZED = 3  # causes whose sizes are in the verdict
+
+
+def sentences(view: DiagnosisView) -> list[str]:
+    """The findings, one sentence or two each: verdict, causes, unexplained structure, what is not testable."""
+    return diagnosis_sentences(view.diagnosis, view.trajectories)
+
+
+def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
+    """As `sentences`, of a diagnosis alone."""
+    return [text for listed in findings(d, flown).values() for text in listed]
+
+
+def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[str]]:
+    """The sentences by what they are on, in the order of reading."""
+    bases = {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}
+    beside = " in comparison with the unexplained structure" if d.left else ""
+    return {
+        "verdict": [verdict_sentence(d)],
+        "gusts": gust_sentences(d.gusts),
+        "tested": tested_sentences(d),
+        "signs": sign_sentences(bases, d.parameters, d.following),
+        "causes": [_cause(cause) for cause in d.causes],
+        "next step": _taken_over(d),
+        "cancelling": [sentence("cancelling", pair=p, size=(p.mean, p.sd)) for p in d.together],
+        "absorbed": [
+            sentence("absorbed", a=a, sizes=" or ".join(f"{n} {_size(x)}" for n, x in a.sizes.items()))
+            for a in d.absorbed
+        ],
+        "beyond": _beyond(d),
+        "minor": [sentence("minor", beside=beside, names=d.minor)] if d.minor else [],
+        "unexplained": _unexplained(d),
+        "terms": _terms(d),
+        "changes": change_sentences(d.changes),
+        "noise": _noise(d),
+        "not testable": not_testable_sentences(d.not_testable),
+        "trajectories": [] if flown is None else trajectory_sentences(flown),
+        "notes": list(d.notes),
+    }
+
+
+def _beyond(d: Diagnosis) -> list[str]:
+    """What is left out of the model: larger than on any aircraft, then what was estimated together with that."""
+    large, joint = [], []
+    for c, (name, x) in [(cause, item) for cause in d.beyond for item in cause.parameters.items()]:
+        about = {"name": name, "x": x, "size": (x.mean, x.sd)}
+        limits = {n: (c.implausible[n], 0.0) for n in (name, f"1/{name}") if n in c.implausible}
+        large += [sentence("too_large", **about, large=n, most=most) for n, most in limits.items()]
+        joint += [] if c.implausible else [sentence("not_alone", **about, joint=parts.joint_text(c.joint))]
+    return large + joint
+
+
+def _size(x: Size) -> str:
+    return size_text(x.mean, x.sd, x.unit)
+
+
+def _cause(cause: Cause) -> str:
+    text = [f"{cause.name}: {cause.claim}"]
+    if cause.ambiguous_with:
+        gains = {n: f"{gain:+z.1f} ± {sd:.1f}" for n, (gain, sd) in cause.rival_gains.items()}
+        place = {n: f" (in its place: log density of hold-out data {gain})" for n, gain in gains.items()}
+        rivals = [f"{name}{place.get(name, '')}" for name in cause.ambiguous_with]
+        text.append(sentence("as_well", rivals=rivals))
+    if cause.joint:
+        text.append(sentence("estimated_together", joint=parts.joint_text(cause.joint)))
+    if cause.bounded:
+        text.append(f"{several(cause.bounded)} is at a parameter bound: suspect another cause.")
+    for name, largest in cause.implausible.items():
+        unit = cause.parameters[name].unit if name in cause.parameters else "1"
+        text.append(sentence("implausible", name=name, most=(largest, 0.0), unit=unit))
+    if cause.hardly_excited:
+        share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"
+        text.append(sentence("hardly_excited", share=share))
+    if not cause.excited:
+        text.append("Not every manoeuvre excites it.")
+    lost, sd = cause.missed
+    if np.isfinite(lost) and cause.confirmed:
+        text.append(f"Removing it degrades hold-out prediction: log density {-lost:+z.1f} ± {sd:.1f}.")
+    elif np.isfinite(lost):
+        model = "simulation" if cause.stage == "flight path" else "extended model"
+        text.append(f"Hold-out data do not confirm it ({_why_not_confirmed(cause)}); the {model} omits it.")
+    return " ".join(text)
+
+
+def _why_not_confirmed(cause: Cause) -> str:
+    gain, (lost, sd) = cause.gain, cause.missed
+    if worse := [f"{name} {change:+z.1f} ± {se:.1f}" for name, (change, se) in gain.degraded.items()]:
+        return f"with it they are predicted worse: log density of {several(worse)}"
+    if lost > 0.0 and gain.elpd < 0.0:
+        return f"beside the causes before it: log density {gain.elpd:+z.1f} ± {gain.elpd_se:.1f}"
+    return f"removed: log density {-lost:+z.1f} ± {sd:.1f}"
+
+
+def _taken_over(d: Diagnosis) -> list[str]:
+    """How to put the causes that the verdict rests on into the card."""
+    clear = {c.name: c for c in d.causes if c.sure and not c.ambiguous_with}
+    sure = [name for name, c in clear.items() if name in CATALOGUE and set(c.joint) <= set(clear)]
+    fitted = [name for name in sure if CATALOGUE[name].stage > Stage.AIRCRAFT]
+    errors = [name for name in sure if name not in fitted]
+    both = {"include_effects": fitted, "correct_errors": errors}
+    return [sentence(key, names=names) for key, names in both.items() if names]
+
+
+def _unexplained(d: Diagnosis) -> list[str]:
+    """Along trajectories an effect may be true and fail its test, which is less powerful than that of the terms."""
+    texts, none = [], "explains this" if d.tested is None else "passes its own test along the trajectories"
+    for u in d.unknown:
+        rivals = several(u.rivals)
+        if u.offsets:
+            sizes = [f"{name} {size_text(x, sd, '1')}" for name, (x, sd) in u.offsets.items()]
+            alike = f" {rivals} would explain them about as well and cannot be told from them." if rivals else ""
+            texts.append(sentence("offset", u=u, sizes=sizes, alike=alike))
+        else:
+            texts.append(sentence("unattributed" if rivals else "unexplained", u=u, rivals=rivals, none=none))
+    return texts
+
+
+def _terms(d: Diagnosis) -> list[str]:
+    texts = []
+    for t in d.terms:
+        past = "" if t.term.code is not None else " It depends on the past, which no effect file can state."
+        others = several([f"{term.name} ({weight:.0%})" for term, weight in t.others], SHOWN)
+        alike = f"These records do not tell it ({t.weight:.0%}) from {others}."
+        none = "No other term of the library is as good."
+        texts.append(sentence("term", t=t, past=past, alike=alike if t.others else none))
+    return texts + ([sentence("write_terms")] if any(t.term.code is not None for t in d.terms) else [])
+
+
+def _noise(d: Diagnosis) -> list[str]:
+    texts, noise = [], d.noise
+    if noise.of_innovations and noise.coloured:
+        lags = [f"{name} ({noise.lag1[name]:.2f})" for name in noise.coloured]
+        texts.append(sentence("coloured_innovations", names=lags, more=""))
+    elif "colored" in noise.labels:
+        texts.append(sentence("coloured_noise", lags=", ".join(f"{name} {x:.2f}" for name, x in noise.lag1.items())))
+    if "buffet" in noise.labels:
+        growth = ", ".join(f"{name} {value:.1f} times" for name, value in noise.noise_growth.items() if value > 1.05)
+        texts.append(sentence("growing_noise", growth=growth))
+    if "outliers" in noise.labels:
+        texts.append(
+            f"Noise: outliers were replaced ({', '.join(f'{k} {n}' for k, n in noise.outliers.items() if n)})."
+        )
+    return texts
+
+
+def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:
+    """The hidden effects, and whether they were found."""
+    texts = []
+    for name, values in effects.items():
+        units = {p.name: p.unit for p in CATALOGUE[name].parameters}
+        sizes = several(f"{key} = {size_text(x, 0.0, units[key])}" for key, x in values.items())
+        texts.append(f"Hidden effect: {name} ({sizes}). {WORDS['revealed'][named[name]]}")
+    return texts
+
+
+def change_sentences(changes: Sequence[ParameterChange]) -> list[str]:
+    """Parameters that change according to a diagnosis: when, by how much, and possible reasons."""
+    texts = []
+    for c in changes:
+        begin, end = c.interval
+        span = f" (95 %: {begin:.1f} to {end:.1f} s)" if end > begin else ""
+        when = f"at {c.at:.1f} s of {c.manoeuvre}{span}"
+        if c.between:
+            when = f"from {c.manoeuvre} on" if c.lasts else f"in {c.manoeuvre}"
+        back, reasons = "" if c.lasts else ", and the value before in later records", WORDS["reasons"].get(c.parameter)
+        text = [sentence("changed", c=c, when=when, back=back)]
+        text += [sentence("as_well", rivals=c.ambiguous_with)] if c.ambiguous_with else []
+        text += [sentence("reasons", reasons=reasons)] if reasons else []
+        texts.append(" ".join(text))
+    return texts
+
+
+# --- The verdict. It rests on causes that are confirmed, probable and of plausible size.
+
+
+def verdict_sentence(d: Diagnosis) -> str:
+    """The causes that explain the model error, those that are only named, and the unexplained structure."""
+    sure = [c for c in d.causes if c.sure]
+    names = f": {several(_named(c, len(sure) <= MAX_SIZED) for c in sure)}{_doubtful(d)}"
+    changes = [f"{c.parameter} changes {'at' if c.between else 'in'} {c.manoeuvre}" for c in d.changes]
+    structure = {
+        f"{u.coefficient} {'between' if u.offsets else 'over'} {u.channel}{'s' if u.offsets else ''}" for u in d.unknown
+    }
+    unknown = several([*sorted(structure), *dict.fromkeys(changes)])
+    left = f" ({unknown})" if unknown else ""
+    if d.tested is not None:
+        return _flown_verdict(d, d.tested, len(sure), names, left)
+    key = "nothing_explains" if d.verdict == "unexplained" and not d.causes else d.verdict.value
+    return sentence(f"verdict_{key}", n=len(sure), names=names, left=left, doubtful=_doubtful(d))
+
+
+def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: str) -> str:
+    """The same from trajectories alone: causes explain the error only if the residual is sensor noise."""
+    sought = sentence("structure_remains" if d.unknown else "no_structure", left=left)
+    sizes, where = "", ""
+    if tested.beyond:  # on hold-out flights where there are any
+        unseen = all(math.isfinite(tested.outputs[name].unseen) for name in tested.beyond)
+        missed = {n: tested.outputs[n].unseen if unseen else tested.outputs[n].fitted for n in tested.beyond}
+        sizes = several(f"{symbol(name)} {_rms(name, x)}" for name, x in missed.items())
+        where = "on hold-out flights, " if unseen else ""
+    key = "errors_remain" if tested.beyond else "within_noise" if tested.outputs else "error_not_computed"
+    rest = sentence(key, where=where, sizes=sizes, sought=sought)
+    if sure:
+        key = "flown_explain" if d.verdict == "explained" else "flown_improve"
+        return f"{sentence(key, n=sure, names=names)} {rest}"
+    first = "flown_no_reliable" if d.causes else "flown_no_improvement"
+    more = f" {sentence('flown_undecided')}" if d.verdict == "undecided" else ""
+    return f"{sentence('flown_no_error' if d.verdict == 'no_effect' else first)}{_doubtful(d)}. {rest}{more}"
+
+
+def _rms(output: str, value: float) -> str:
+    return "".join(amounts(STANDARD_CHANNELS[output].unit, value))
+
+
+def tested_sentences(d: Diagnosis) -> list[str]:
+    """The error of each output against the noise of its sensor, from trajectories alone."""
+    if d.tested is None or not d.tested.outputs:
+        return []
+    of = d.tested.outputs
+    listed = [f"{symbol(n)} {_rms(n, miss.fitted)} (noise {_rms(n, miss.noise)})" for n, miss in of.items()]
+    beyond = [symbol(name) for name in d.tested.beyond]
+    return [sentence("tested", listed=listed), *([sentence("tested_beyond", names=beyond)] if beyond else [])]
+
+
+def _named(cause: Cause, sized: bool) -> str:
+    sizes = ", ".join(_size(x) for x in cause.parameters.values()) if sized else ""
+    rivals = f"or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
+    text = ", ".join(part for part in (sizes, rivals) if part)
+    return f"{cause.name} ({text})" if text else cause.name
+
+
+def _doubtful(d: Diagnosis) -> str:
+    reasons: dict[str, list[str]] = {}
+    for cause in (c for c in d.causes if not c.sure):
+        why = "named, but no more probable than its rivals"
+        if cause.bounded:
+            why = "at a parameter bound: suspect another cause"
+        elif cause.implausible:
+            why = "larger than on any aircraft: suspect another cause"
+        elif not cause.confirmed:
+            why = f"named, but not {'confirmed' if math.isfinite(cause.missed[0]) else 'tested'} on hold-out data"
+        reasons.setdefault(why, []).append(_named(cause, sized=False))
+    return "".join(f"; {why}: {several(names)}" for why, names in reasons.items())
+
+
+def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
+    """Whether the band confirms the causes."""
+    if sizes is None:
+        return ()
+    band = band_text(sizes)
+    if not sizes.converged:
+        return (f"The causes could not be fitted from {band}: the band does not determine them.",)
+    apart = [s for s in sizes.sizes if s.apart > LIMIT]
+    agree = dict.fromkeys(s.cause for s in sizes.sizes if s.cause not in {a.cause for a in apart})
+    texts = [sentence("band_agrees", band=band, names=agree)] if agree else []
+    for s in apart:
+        inside, whole = (in_brackets(Estimate.normal(*size)) for size in (s.in_band, s.coefficients))
+        texts.append(sentence("band_differs", s=s, band=band, inside=inside, whole=whole))
+    return (*texts, *([f"The band does not show {several(sizes.unseen)}."] if sizes.unseen else []))
 
 
 # --- Tables: causes, changes, terms, candidates.
@@ -99,7 +381,6 @@ def causes_table(d: Diagnosis) -> Table:
 
 
 def _sizes(c: Cause) -> list[str]:
-    """Sizes, with names where there are several."""
     texts = {name: size_text(s.mean, s.sd, s.unit).replace("c/V", "chords") for name, s in c.parameters.items()}
     return [f"{name} {text}" if len(texts) > 1 else text for name, text in texts.items()]
 
@@ -351,7 +632,6 @@ def _by_coefficients(view: View, context: DiagnosisContext, gallery: Gallery) ->
 
 
 def _flown_alone(view: DiagnosisView, context: DiagnosisContext, rest: Sequence[str]) -> list[Section]:
-    """The sections of a diagnosis by trajectories alone or by innovations."""
     alone = view.diagnosis.compared == "trajectories"
     reason = "without accelerometers lift is not measured" if alone else "no lift coefficient was formed"
     full = (rest, parts.not_testable_list(view.diagnosis.not_testable))
@@ -369,7 +649,6 @@ def _flown(view: DiagnosisView, context: DiagnosisContext) -> tuple[Any, ...]:
 
 
 def _gain(view: View, gallery: Gallery) -> tuple[Any, ...]:
-    """Scores on hold-out data, then of the manoeuvres one by one, where they were scored; many are folded."""
     whole = gain_table(view)
     if whole is None:
         return ("Nothing was added, so there is no gain to report.",)

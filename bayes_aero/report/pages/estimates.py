@@ -203,7 +203,6 @@ def disputed(run: Identification) -> dict[str, float]:
 
 
 def _noise_model(run: Identification) -> list[str]:
-    """The chosen noise model's posterior against the corrected bound, how far its mean moved, and why."""
     engines, by, beyond = chosen_posteriors(run), _by_key(run), disputed(run)
     if not engines or white_posterior(run) in engines.values():
         return []
@@ -227,7 +226,6 @@ def _noise_model(run: Identification) -> list[str]:
 
 
 def _agreement(run: Identification) -> list[str]:
-    """The sentence when all methods agree, with the numbers that show it."""
     crb, *others = methods(run)
     spans = {m.label: m.over(crb).values() for m in others}
     parts = [f"{label} {min(ratios):.2f} to {max(ratios):.2f} times" for label, ratios in spans.items()]
@@ -239,7 +237,6 @@ def _agreement(run: Identification) -> list[str]:
 
 
 def _truth(run: Identification) -> list[str]:
-    """Of simulated records: how many true parameters the intervals of each method contain."""
     true, names, held = run.truth or {}, flown(run), []
     if not names:
         return []

@@ -89,7 +89,6 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
 
 
 def _settings(flown: TrajectoryFit) -> list[str]:
-    """The cost of the published programs, and the settings that differ from the defaults."""
     outputs, setting = [symbol(name) for name in flown.fit.flown.outputs], flown.setting
     how = [] if setting.priors else ["without priors"]
     how += [] if setting.initial is None else ["with initial states fixed"]
@@ -330,7 +329,6 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Report:
 
 
 def _parameters(flown: TrajectoryFit, context: FlyContext, gallery: Gallery) -> list[Any]:
-    """Every parameter with and without process noise, the gusts that were met, and the initial states."""
     filtered, fit = context.process_noise, flown.fit
     return [
         parameter_table(flown),
@@ -353,7 +351,6 @@ def _lead(flown: TrajectoryFit) -> Text:
 
 
 def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:
-    """Time histories of outputs, and of what drove the simulation and moved."""
     shown, remark = parts.first(flown.manoeuvres)
     what, plots = "Measured outputs, those simulated from the first values and by the fit, and the inputs", []
     flights = flown.fit.flown.flights

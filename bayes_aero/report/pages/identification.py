@@ -229,7 +229,6 @@ def identification_page(
 
 
 def _captions(run: Identification) -> dict[str, str]:
-    """Of every figure, by stem."""
     captions = dict(WORDS["captions"])
     captions["fig2_gpr_fit"] = captions["fig2_gpr_fit"].format(several(run.mle.fit))
     for engine in run.posteriors:
@@ -262,7 +261,6 @@ def headline(run: Identification) -> str:
 
 
 def _fit(run: Identification) -> list[Any]:
-    """Time histories of each manoeuvre, and the scores of the fit."""
     o, measured, plots = run.observations, np.asarray(run.observations.measured), []
     shown, more = parts.first(o.names)
     for order, name in enumerate(shown):

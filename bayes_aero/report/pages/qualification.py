@@ -63,7 +63,6 @@ def points_table(asked: Mapping[str, Any]) -> Table:
 
 
 def _order_sentence(points: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What to fly, in the order of flying."""
     flown = [sentence("test_point", p=p, manoeuvre=str(p["manoeuvre"]).replace("_", " ")) for p in points]
     return [f"Next test points, in this order: {several(flown)}."] if flown else []
 
@@ -113,7 +112,6 @@ def further_sentences(further: result.Further | None) -> tuple[str, ...]:
 
 
 def _label(test: result.OpenTolerance) -> str:
-    """Output, manoeuvre, and whether it is flown on the next flight."""
     ahead = " on the next flight" if test.kind.name == "NEXT" else ""
     return f"{symbol(test.output)} of {test.manoeuvre}{ahead}"
 
@@ -284,7 +282,6 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
 
 
 def _strip(strip: Strip, found: Qualification) -> Plot:
-    """A panel for each output with a tolerance."""
     ahead, panels = strip.kind.name == "NEXT", []
     record = "record of the manoeuvre" if ahead else "record"
     for output, (tolerance, _) in found.tolerances.items():

@@ -86,7 +86,6 @@ def _beyond(found: list[AcrossUnits]) -> list[AcrossUnits]:
 
 
 def _findings(context: StudyContext, found: list[AcrossUnits]) -> list[str]:
-    """Causes by how many units name them, records in doubt, and parameters that scatter beyond their intervals."""
     _, causes, done = context.counted
     listed = several(f"{cause} {n}" for cause, n in causes.most_common())
     texts = [f"Causes, in how many units of {done}: {listed}."] if causes else []
@@ -100,7 +99,6 @@ def _findings(context: StudyContext, found: list[AcrossUnits]) -> list[str]:
 
 
 def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
-    """The picture of all estimates; a study without any has none."""
     path = folder / "across.png"
     try:
         save(across(found), path)
@@ -130,7 +128,6 @@ def _across(found: list[AcrossUnits]) -> tuple[Any, ...]:
 
 
 def _units(units: pd.DataFrame, folder: Path) -> Block:
-    """Table of the units, those that are not done first; a name is a link to the unit's report."""
     shown = units.assign(number=np.arange(1, len(units) + 1))
     shown = shown.sort_values("state", key=lambda s: s == "done", kind="stable").head(MOST_UNITS)
     column, left = columns_of(shown.to_dict("records")), len(units) - len(shown)

@@ -379,7 +379,6 @@ def one_step_table(predictions: OneStep, units: Mapping[str, str]) -> Table:
 
 
 def _per_cent(e: Estimate) -> str:
-    """A share with one digit of its standard error."""
     share, sd = 100.0 * e.centre, 100.0 * e.sd
     return f"{share:.0f}({sd:.0f})" if sd >= 0.95 else f"{share:.1f}({10.0 * sd:.0f})"
 
