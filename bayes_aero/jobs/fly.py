@@ -53,7 +53,8 @@ from bayes_aero.report.page import put_page
 from bayes_aero.report.pages import fly as text
 from bayes_aero.report.pages import trajectories
 from bayes_aero.report.pages.estimates import frequency_sentences, posterior_sentences
-from bayes_aero.report.pages.fly import FlyContext, fly_page, motion_sentences, parameter_table
+from bayes_aero.report.pages.fly import fly_page, motion_sentences, parameter_table
+from bayes_aero.report.pages.parts import PageContext
 from bayes_aero.report.pages.trajectories import gust_table, posterior_table
 from bayes_aero.report.phrases import several
 from bayes_aero.report.style import MOST_MANOEUVRES
@@ -195,10 +196,8 @@ class FlightStore(Growing[Flight]):
         self.keep([f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else (), failed)
         if progress:
             progress("report", 0.95)
-        names = ("sentences", "notes", "consistency", "failures", "health", "process_noise", "posteriors", "motion")
-        told: dict[str, Any] = {name: getattr(self.result, name) for name in names}
         pictures = {path.stem: path for path in drawn}
-        context = FlyContext(self.card, self.records, self.source, figures=pictures, **told)
+        context = PageContext(self.card, self.records, self.source, pictures, self.result)
         if failed := put_page(lambda: fly_page(found.flown, context), out):
             self.keep((), failed)
 

@@ -15,6 +15,7 @@ from PIL import Image
 from bayes_aero.diagnosis.result import INNOVATIONS, TRAJECTORIES, DiagnosisView
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.results import PosteriorStatus
+from bayes_aero.jobs.io.results import Outcome
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.page import (
@@ -30,9 +31,9 @@ from bayes_aero.report.page import (
     render,
     section,
 )
-from bayes_aero.report.pages.diagnosis import DiagnosisContext, diagnosis_page
+from bayes_aero.report.pages.diagnosis import diagnosis_page
 from bayes_aero.report.pages.identification import headline, identification_page, parameter_table
-from bayes_aero.report.pages.parts import stall_table
+from bayes_aero.report.pages.parts import PageContext, stall_table
 from bayes_aero.report.plots import Line, Panel, extremes, linked
 from bayes_aero.report.style import NotDrawn
 
@@ -212,15 +213,16 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         "stated": [],
     }
     source = provenance(card, diagnosed.records, 0, {})
-    about = {"test_points": points, "revealed": ("Hidden was x.",), "notes": ("n",)}
-    told = DiagnosisContext(card, diagnosed.records, source, **about)
+    hidden = {"hidden": {"alpha_bias": {"alpha_bias": 0.01}}, "named": {"alpha_bias": "missed"}}
+    about = Outcome(flown, **hidden, notes=("n",), test_points=points)
+    told = PageContext(card, diagnosed.records, source, {}, about)
     page = diagnosis_page(flown, told)
     assert not [s.title for s in page.sections if any("was not made" in getattr(b, "text", "") for b in s.blocks)]
     text = Outline(render(page)).text
     for cause in d.causes:
         assert cause.claim in text
     holds(text, "a or b: expected to be decided, 6.2 standard errors", "thrust steps", "4 to 12", "0.71 to 1.52")
-    holds(text, "Hidden was x.", "Trajectories, before and after", "time inside", "CLmax")
+    holds(text, "Hidden effect: alpha_bias", "Trajectories, before and after", "time inside", "CLmax")
     table = next(b for b in page.sections[2].blocks if isinstance(b, HtmlTable))
     assert [row[0] for row in table.rows] == ["CL", "CD", "Cm"]
     assert "manoeuvre by manoeuvre" not in text  # there is one
@@ -245,7 +247,8 @@ def by_trajectories(view: DiagnosisView) -> DiagnosisView:
 def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card):
     said = f"{len(diagnosed.records)} in knots"
     health = (HealthFinding(diagnosed.records[0].name, "airspeed", "unit", None, None, said, True),)
-    told = DiagnosisContext(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}), health=health)
+    source = provenance(card, diagnosed.records, 0, {})
+    told = PageContext(card, diagnosed.records, source, {}, Outcome(flown, health=health))
     for page in (diagnosis_page(flown, told), diagnosis_page(by_trajectories(flown), told)):
         assert page.doubts[0] == Text(f"{len(diagnosed.records)} in knots.", "warning")
         html = render(page)

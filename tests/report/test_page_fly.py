@@ -16,22 +16,22 @@ from bayes_aero.jobs.io.results import RESULTS
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.page import Fold, HtmlTable, Plot, page_table, put_page, render
 from bayes_aero.report.pages.fly import (
-    FlyContext,
     error_table,
     fly_page,
     initial_table,
     motion_sentences,
     parameter_table,
 )
-from bayes_aero.report.pages.parts import at_a_glance
+from bayes_aero.report.pages.parts import PageContext, at_a_glance
 from bayes_aero.report.pages.study import MOST_UNITS, estimates, study_headline, study_page
 from bayes_aero.report.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
 
 DEGREE = np.deg2rad(1.0)
 
 
-def context(said=("The fit converged.", "A finding."), notes=("A note.",)):
-    return FlyContext(CARD, records(), provenance(CARD, records(), 0, {"windows": 12.0}), sentences=said, notes=notes)
+def context(said=("The fit converged.", "A finding."), **more):
+    result = replace(flight(), sentences=said, notes=("A note.",), **more)
+    return PageContext(CARD, records(), provenance(CARD, records(), 0, {"windows": 12.0}), {}, result)
 
 
 def blocks_of(page, key):
@@ -180,7 +180,7 @@ MOTION = Motion(120.0, 4000.0, MODES)
 
 
 def test_modes_stand_on_the_page_and_what_motion_lacks_is_said():
-    page = fly_page(flight().flown, replace(context(), motion=MOTION))
+    page = fly_page(flight().flown, context(motion=MOTION))
     (modes,) = blocks_of(page, "motion")
     assert [row[:3] for row in modes.rows] == [
         ("Dutch roll", "period, s", "3.831(14)"),

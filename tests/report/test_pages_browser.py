@@ -27,8 +27,9 @@ from bayes_aero.report.figures import posterior
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.page import section, write_page
 from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
-from bayes_aero.report.pages.fly import FlyContext, fly_page
+from bayes_aero.report.pages.fly import fly_page
 from bayes_aero.report.pages.identification import identification_page
+from bayes_aero.report.pages.parts import PageContext
 from bayes_aero.report.pages.study import study_page
 from bayes_aero.report.pages.trajectories import trajectories
 
@@ -190,7 +191,7 @@ def test_no_table_is_broader_than_the_sheet(fresh):
 def fly_report(tmp_path_factory):
     found = flight()
     source = provenance(CARD, records(), 0, {"windows": 12.0})
-    page = fly_page(found.flown, FlyContext(CARD, records(), source, sentences=found.sentences, notes=("A note.",)))
+    page = fly_page(found.flown, PageContext(CARD, records(), source, {}, replace(found, notes=("A note.",))))
     return write_page(page, tmp_path_factory.mktemp("fly") / "report.html")
 
 

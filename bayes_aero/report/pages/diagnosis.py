@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -550,18 +550,9 @@ FROM_WHAT = {
 FEW = 4  # manoeuvres that are listed one by one in the open
 
 
-@dataclass(frozen=True)
-class DiagnosisContext(parts.PageContext):
-    """Data of a diagnosis page in addition to the diagnosis."""
-
-    test_points: Mapping[str, Any] = field(default_factory=dict)
-    in_band: CausesInBand | None = None
-    revealed: Sequence[str] = ()
-
-
-def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> Report:
+def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
     """The page of a diagnosis, by coefficients or by trajectories alone."""
-    d, whole = view.diagnosis, cast("View | None", view if hasattr(view, "card") else None)
+    result, d, whole = context.result, view.diagnosis, cast("View | None", view if hasattr(view, "card") else None)
     captions = dict(WORDS["captions"])
     if whole is not None:
         panel, manoeuvre, _ = telling(whole)
@@ -569,7 +560,8 @@ def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> Report:
     gallery = Gallery(context.figures, captions)
     verdict, *rest = diagnosis_sentences(d) if whole is not None else sentences(view)
     gain = "" if view.trajectories is None else simulation_gain(view.trajectories)
-    lead: list[Any] = [Text(text, "lead") for text in (*context.revealed, gain) if text]
+    shown = revealed(result.hidden, result.named) if result.hidden else []
+    lead: list[Any] = [Text(text, "lead") for text in (*shown, gain) if text]
     lead.append(gallery("found") or gallery("measured_simulated"))
     if d.compared == "trajectories":
         lead.append("The record lacks channels from which lift, drag and moment coefficients are formed.")
@@ -580,17 +572,17 @@ def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> Report:
         subtitle=f"The model error, its causes, and the gain of the extended model{FROM_WHAT[d.compared]}",
         verdict=verdict,
         lead=lead,
-        doubts=parts.doubts(context.consistency, context.health, context.failures, corrects=whole is not None),
+        doubts=parts.doubts(result.consistency, result.health, result.failures, corrects=whole is not None),
         sections=[
-            parts.records_section(context),
+            parts.records_section(context.card, context.records, result.health),
             section("causes", "Causes of the model error", lambda: _causes(view, context, gallery)),
             *(_flown_alone(view, context, rest) if whole is None else _by_coefficients(whole, context, gallery)),
-            parts.provenance_section(context.source, context.notes),
+            parts.provenance_section(context.source, result.notes),
         ],
     )
 
 
-def _causes(view: DiagnosisView, context: DiagnosisContext, gallery: Gallery) -> list[Any]:
+def _causes(view: DiagnosisView, context: parts.PageContext, gallery: Gallery) -> list[Any]:
     d = view.diagnosis
     shared = "; rivals (last column) share it" if any(c.ambiguous_with for c in d.causes) else ""
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in view.rankings]
@@ -600,11 +592,11 @@ def _causes(view: DiagnosisView, context: DiagnosisContext, gallery: Gallery) ->
         sentence("minor", beside="", names=d.minor) if d.minor else None,
         parts.terms("glossary"),
         fold("Every candidate's score before anything was added", screens, gallery("ranking")),
-        list(in_band_sentences(context.in_band)),
+        list(in_band_sentences(context.result.in_band)),
     ]
 
 
-def _by_coefficients(view: View, context: DiagnosisContext, gallery: Gallery) -> list[Section]:
+def _by_coefficients(view: View, context: parts.PageContext, gallery: Gallery) -> list[Section]:
     def stall() -> tuple[Any, ...]:
         if not view.stalls:
             return ("CLmax and the stall angle are not given: no coefficients were formed.",)
@@ -631,7 +623,7 @@ def _by_coefficients(view: View, context: DiagnosisContext, gallery: Gallery) ->
     ]
 
 
-def _flown_alone(view: DiagnosisView, context: DiagnosisContext, rest: Sequence[str]) -> list[Section]:
+def _flown_alone(view: DiagnosisView, context: parts.PageContext, rest: Sequence[str]) -> list[Section]:
     alone = view.diagnosis.compared == "trajectories"
     reason = "without accelerometers lift is not measured" if alone else "no lift coefficient was formed"
     full = (rest, parts.not_testable_list(view.diagnosis.not_testable))
@@ -642,7 +634,7 @@ def _flown_alone(view: DiagnosisView, context: DiagnosisContext, rest: Sequence[
     ]
 
 
-def _flown(view: DiagnosisView, context: DiagnosisContext) -> tuple[Any, ...]:
+def _flown(view: DiagnosisView, context: parts.PageContext) -> tuple[Any, ...]:
     if view.trajectories is None:
         return ("No trajectories were simulated in this run.",)
     return trajectories(view.trajectories, context.card), trajectory_sentences(view.trajectories)
@@ -656,8 +648,8 @@ def _gain(view: View, gallery: Gallery) -> tuple[Any, ...]:
     return whole, fold("The same, manoeuvre by manoeuvre", each) if len(view.names) > FEW else each, gallery("gain")
 
 
-def _open(d: Diagnosis, context: DiagnosisContext) -> list[Any]:
-    listed, points, sensors = findings(d), context.test_points, context.consistency
+def _open(d: Diagnosis, context: parts.PageContext) -> list[Any]:
+    listed, points, sensors = findings(d), context.result.test_points, context.result.consistency
     sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
     rivals = f"Rival explanations on this record: {'; '.join(sets)}."
     structure = ("beyond", "unexplained", "terms", "changes")

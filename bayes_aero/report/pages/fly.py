@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,8 +38,7 @@ from bayes_aero.report.table import (
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import Disagreement, Motion, ProcessNoise, TrajectoryFit
-    from bayes_aero.inference.results import Posterior
+    from bayes_aero.diagnosis.result import Disagreement, Motion, TrajectoryFit
     from bayes_aero.parameter import Prior
 
 START, FITTED = FLOWN
@@ -263,24 +262,15 @@ def mode_table(motion: Motion) -> Table:
 # --- The page.
 
 
-@dataclass(frozen=True)
-class FlyContext(parts.PageContext):
-    """What the page needs beside the fit: its sentences, the verdict first; process noise and motion, if any."""
-
-    sentences: Sequence[str] = ()
-    process_noise: ProcessNoise | None = None  # the same parameters by a filter
-    posteriors: Mapping[str, Posterior] = field(default_factory=dict)  # of that, by sampler
-    motion: Motion | None = None
-
-
-def fly_page(flown: TrajectoryFit, context: FlyContext) -> Report:
+def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
     """The page; nothing on it but the fit's own numbers."""
-    verdict, *rest = context.sentences
-    card, motion, posteriors = context.card, context.motion, context.posteriors
+    result = context.result
+    verdict, *rest = result.sentences
+    card, motion, posteriors = context.card, result.motion, result.posteriors
     units = {name: flown.units[name] for name in flown.outputs}
     gallery = Gallery(context.figures, WORDS["captions"])
     bands = [text for fit in flown.frequency for text in estimates.frequency_sentences(fit)]
-    predictions = None if context.process_noise is None else context.process_noise.one_step
+    predictions = None if result.process_noise is None else result.process_noise.one_step
     of_path = "Flight path", "Errors of sensors, from recorded accelerations and rates"
     of_model = "Trajectories", "A model fitted to trajectories by output error"
     title, subtitle = of_path if flown.of_path else of_model
@@ -288,11 +278,11 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Report:
         title=f"{title}: {card.title}",
         subtitle=subtitle,
         verdict=verdict,
-        doubts=parts.doubts(context.consistency, context.health, context.failures),
+        doubts=parts.doubts(result.consistency, result.health, result.failures),
         lead=[_lead(flown)],
         sections=[
-            section("findings", "Findings", lambda: ([*rest, *context.notes], parts.terms("terms_of_fly"))),
-            parts.records_section(context),
+            section("findings", "Findings", lambda: ([*rest, *result.notes], parts.terms("terms_of_fly"))),
+            parts.records_section(card, context.records, result.health),
             section("fit", "Measured and simulated", lambda: _flights(flown, units)),
             section("errors", "Errors", lambda: (error_table(flown), trajectories.sources(card, units))),
             section("parameters", "Parameters", lambda: _parameters(flown, context, gallery)),
@@ -328,8 +318,8 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Report:
     )
 
 
-def _parameters(flown: TrajectoryFit, context: FlyContext, gallery: Gallery) -> list[Any]:
-    filtered, fit = context.process_noise, flown.fit
+def _parameters(flown: TrajectoryFit, context: parts.PageContext, gallery: Gallery) -> list[Any]:
+    filtered, fit = context.result.process_noise, flown.fit
     return [
         parameter_table(flown),
         trajectories.process_noise_table(filtered, flown) if filtered and filtered.converged else None,

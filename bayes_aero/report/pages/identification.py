@@ -215,7 +215,7 @@ def identification_page(
         doubts=parts.doubts(run.consistency, run.health, run.failures),
         sections=[
             section("findings", "Findings", lambda: (findings, parts.terms("glossary"))),
-            parts.records_section(run),
+            parts.records_section(run.card, run.records, run.health),
             section("fit", "Measured and fitted", lambda: _fit(run)),
             section("simulated", "Measured and simulated", lambda: given_flights(flown, run.card)),
             section("stall", "The stall", lambda: _stall(run, gallery)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -140,16 +140,13 @@ def doubts(
 
 @dataclass(frozen=True)
 class PageContext:
-    """What a page shows beside a result: card, records, provenance, figures by stem, and what was noted of the run."""
+    """What a page shows: card, records, provenance, drawn figures by stem, and the result of the job."""
 
     card: Card
     records: Sequence[FlightRecord]
     source: Mapping[str, Any]
-    figures: Mapping[str, Path] = field(default_factory=dict)
-    notes: Sequence[str] = ()  # parts that were left out, with the reason
-    consistency: Consistency | None = None
-    failures: Sequence[str] = ()  # parts that failed unexpectedly
-    health: Sequence[HealthFinding] = ()  # faults of channels
+    figures: Mapping[str, Path]
+    result: Any  # with `notes`, `consistency`, `failures`, `health`, and what its page shows
 
 
 GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
@@ -185,10 +182,10 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Any, ...]:
     )
 
 
-def records_section(context: PageContext | Any) -> Section:
+def records_section(card: Card, records: Sequence[FlightRecord], health: Sequence[HealthFinding]) -> Section:
     """`at_a_glance`, and faults of channels that no result uses; the other faults are in `doubts`."""
-    minor = [f"{finding.sentence}." for finding in context.health if not finding.grave]
-    return section("records", "The records at a glance", lambda: (minor, at_a_glance(context.records, context.card)))
+    minor = [f"{finding.sentence}." for finding in health if not finding.grave]
+    return section("records", "The records at a glance", lambda: (minor, at_a_glance(records, card)))
 
 
 def symbols(card: Card, parameters: Iterable[Parameter], names: Iterable[str], *, degrees: bool = False) -> Fold | None:
