@@ -47,7 +47,7 @@ from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.physics.kinematics import PATH_CORE
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
-from bayes_aero.report.figures.posterior import one_step_quantiles, pair_of
+from bayes_aero.report.figures.posterior import pair_of
 from bayes_aero.report.figures.time_histories import fly_figures, gusts
 from bayes_aero.report.page import put_page
 from bayes_aero.report.pages import fly as text
@@ -63,7 +63,7 @@ from bayes_aero.residuals.equation_error import lines_in
 
 UNFILTERED = "Process noise was not fitted, because output error did not converge."
 Sampling = Callable[[str], dict[str, Posterior]]  # draws by the name of the sampler
-DISTURBED = {"gusts": gusts, "one_step": one_step_quantiles}
+DISTURBED = {"gusts": gusts}
 
 
 @keywords(FlyOptions)

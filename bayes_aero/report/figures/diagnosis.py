@@ -234,15 +234,10 @@ def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:
             )
         size = 6.0 if "\n" in text else 7.5
         ax.text(1.02 * widest, y, text, ha="right", va="center", fontsize=size, bbox=TIGHT, zorder=5)
-    below = ["share of the remaining variance explained [%]"]
-    if any(s.score < ranking.threshold for s in leaders):
-        level = f"{100.0 * ranking.level:g} %"
-        below += [f"pale: score below {ranking.threshold:.1f}, which noise", f"alone exceeds in {level} of replicates"]
-    if np.isfinite(ranking.threshold) and (left := len(ranking.candidate_scores) - len(leaders)) > 0:
-        below.append(f"{left} more with lower scores: see screen.csv")
     _rows_of(ax, [s.effect for s in leaders])
     ax.set_xlim(0.0, 1.03 * widest)
-    ax.set_xlabel("\n".join(below))
+    about = f"pale: scores below {ranking.threshold:.1f} are chance" if np.isfinite(ranking.threshold) else ""
+    ax.set_xlabel(f"share of the remaining variance explained [%]\n{about}")
     ax.set_title(f"First screening, {ranking.stage}")
 
 

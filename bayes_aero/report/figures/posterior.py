@@ -22,12 +22,12 @@ from bayes_aero.report import style
 from bayes_aero.report.figures.time_histories import predicted, what_is_shown
 from bayes_aero.report.pages import estimates as comparison
 from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered, unit_of
-from bayes_aero.report.phrases import bracket, plus_minus, symbol
+from bayes_aero.report.phrases import bracket, plus_minus
 from bayes_aero.report.plots import COLOURS, MODELS
 from bayes_aero.report.table import Estimate
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import ProcessNoise, View
+    from bayes_aero.diagnosis.result import View
     from bayes_aero.inference.results import Identification, Posterior, Stall
 
 
@@ -147,30 +147,6 @@ def pit_histogram(identification: Identification) -> Figure:
     style.legend_below(figure, axes[0], 2)
     what = "posterior predictive" if identification.noise == "white" else "one-step-ahead posterior predictive"
     figure.suptitle(f"Where measurements fall in the {what} ({engine_label(t.engine)})")
-    return figure
-
-
-@style.housed
-def one_step_quantiles(found: ProcessNoise) -> Figure:
-    """A panel for each output, and one for all together: quantiles of innovations over those of calibrated ones."""
-    if found.one_step is None:
-        raise style.NotDrawn("the fit with process noise did not converge")
-    shown = dict(found.one_step.outputs)
-    shown |= {"all together": found.one_step.together} if len(shown) > 1 else {}
-    figure, axes = style.grid_of(len(shown), 4, (2.4, 2.5), sharex=True, sharey=True)
-    for ax, (name, one) in zip(axes, shown.items(), strict=True):
-        score, value, low, high = one.quantiles.T
-        ax.fill_between(score, low, high, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="its 95 % band")
-        ax.plot(score, score, color=COLOURS["measured"], lw=0.8, ls=":", label="calibrated")
-        ax.plot(score, value, color=COLOURS["after"], marker="o", ms=3.0, label="innovations")
-        ax.set_title(f"{symbol(name)}: {one.calibration.value.replace('_', ' ')}")
-    for ax in axes[-4:]:
-        ax.set_xlabel("standard normal [-]")
-        ax.tick_params(labelbottom=True)
-    for ax in axes[::4]:
-        ax.set_ylabel("innovation / predicted sd [-]")
-    style.legend_below(figure, axes[0], 3)
-    figure.suptitle("Quantiles of innovations, predicted one step ahead")
     return figure
 
 

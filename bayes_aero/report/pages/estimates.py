@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_aero.flight.health import only_following
-from bayes_aero.report.phrases import decimals, from_to, plus_minus, sentence, several, unit_behind
+from bayes_aero.report.phrases import decimals, plus_minus, sentence, several, unit_behind
 from bayes_aero.report.table import Column, Estimate, in_brackets
 from bayes_aero.units import number
 
@@ -182,13 +182,7 @@ def _colour(run: Identification) -> list[str]:
         reach = f"(white noise stays within ±{chance:.2f})"
     sizes = {"median": _plain(median), "worst": _plain(worst), "size": "too small" if median > 1.0 else "not right"}
     sentences = [sentence("not_white", lags=lags, reach=reach, name=name, **sizes)]
-    posterior = white_posterior(run)
-    if posterior is not None:
-        base = by["crb"].estimates
-        ratios = {n: posterior.marginals[n].sd / e.sd for n, e in base.items() if n in posterior.marginals}
-        _, name, worst, _ = _spread(ratios)
-        median = float(np.median(np.abs(np.array(list(ratios.values())) - 1.0)))
-        sentences.append(sentence("white_posterior", median=median, worst=worst - 1.0, name=name))
+    sentences += [sentence("white_posterior")] if white_posterior(run) is not None else []
     return sentences
 
 
@@ -206,16 +200,12 @@ def _noise_model(run: Identification) -> list[str]:
     engines, by, beyond = chosen_posteriors(run), _by_key(run), disputed(run)
     if not engines or white_posterior(run) in engines.values():
         return []
-    posterior, crb = by[next(iter(engines))], by["crb"].estimates
-    median, name, worst, near = _spread(posterior.over(by["crb_corrected"]))
+    median, name, worst, near = _spread(by[next(iter(engines))].over(by["crb_corrected"]))
     if near and not beyond:
         return []
-    in_crb = {n: abs(e.centre - crb[n].centre) / crb[n].sd for n, e in posterior.estimates.items()}
-    far = max(in_crb, key=lambda n: in_crb[n])
-    sizes = {"median": median, "worst": worst, "middle": float(np.median(list(in_crb.values())))}
-    names = {"name": name, "furthest": far, "far": _plain(in_crb[far]), "noise": noise_label(run.noise)}
     thinned = "" if run.noise == "white" else ", and a coloured one uses one sample in five"
-    sentences = [sentence("noise_model", thinned=thinned, **sizes, **names)]
+    sizes = {"median": median, "worst": worst, "name": name, "noise": noise_label(run.noise)}
+    sentences = [sentence("noise_model", thinned=thinned, **sizes)]
     if beyond:  # certain causes before possible ones
         why = sentence("why_priors", names=[c.name for c in run.mle.conflicts])
         if not run.mle.conflicts:
@@ -287,15 +277,9 @@ def next_flight_sentences(run: Identification) -> list[str]:
         return []
     count, (low, high) = len(pooled.manoeuvres), pooled.at_best
     names, joint = ordered(pooled.aircraft, pooled.parameters), bounds(run.mle, run.mle.crb_corrected)
-    widest = "the joint fit has no intervals beside which to put its own"
-    growth = {n: (m.ci95[1] - m.ci95[0]) / (joint[n].high - joint[n].low) for n, m in pooled.following.items()}
-    finite = sorted((n for n, g in growth.items() if 0.0 < g < math.inf), key=lambda n: growth[n])
-    if finite:  # by how much intervals grow from the joint fit to the next flight
-        name = finite[len(finite) // 2]
-        following, fit = (from_to(e.low, e.high, e.sd) for e in (Estimate.of(pooled.following[name]), joint[name]))
-        widest = sentence("next_wider", times=growth[name], name=name, following=following, fit=fit)
+    growth = [(m.ci95[1] - m.ci95[0]) / (joint[n].high - joint[n].low) for n, m in pooled.following.items()]
     sentences = [
-        sentence("next_flight", widest=widest),
+        sentence("next_flight", times=float(np.median(growth))),
         sentence("scatter_limit", count=count, low=number(low, 2), high=number(high, 2)),
     ]
     if little := [n for n in names if pooled.narrowed[n] > LITTLE]:

@@ -208,7 +208,7 @@ def error_table(flown: TrajectoryFit) -> Table:
 
 
 def initial_table(flown: TrajectoryFit) -> Table:
-    """The fitted state at each manoeuvre's first sample, how far it is from the measured one, and the prior of that."""
+    """The fitted state at each manoeuvre's first sample, and how far it is from the measured one."""
     rows = [(m, s, *values) for m in flown.manoeuvres for s, values in flown.initial[m].items()]
     factors = [for_people(flown.units.get(state, "1"))[1] for _, state, *_ in rows]
     free, by_factor = flown.setting.initial is None, list(zip(rows, factors, strict=True))
@@ -218,10 +218,7 @@ def initial_table(flown: TrajectoryFit) -> Table:
         Column(values, page="fitted" if free else "value", form=4),
     ]
     if free:
-        sd = {state: flown.departure_sd[state] for _, state, *_ in rows}
-        priors = [f"0 ± {number(f * sd[s], 2)}, default" if sd[s] else "none" for (_, s, *_), f in by_factor]
         columns.append(Column([f * departure for (*_, departure), f in by_factor], page="departure", form="+.2g"))
-        columns.append(Column(priors, page="prior of the departure"))
     return table("initial_fitted" if free else "initial_fixed", columns, below=[row[0] for row in rows])
 
 
@@ -296,7 +293,6 @@ def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
                     and (
                         trajectories.prediction_sentences(predictions),
                         trajectories.one_step_table(predictions, flown.units),
-                        gallery("one_step"),
                     )
                 ),
             ),
