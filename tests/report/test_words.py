@@ -256,7 +256,7 @@ def test_one_sentence_counts_every_effect_once():
     first, *counts = map(int, re.findall(r"(?:^|: |; )(\d+) ", said))
     assert first == sum(counts) == len(REASONS)
     assert counts == [3, 1, 1, 1]
-    holds(said, "canard, dlc_left and dlc_right", "(beta)", "(e)", "{tried} later")
+    holds(said, "canard, dlc_left and dlc_right", "channel beta", "has no e", "{tried} later")
     assert not_testable_sentences({}) == []
 
 

@@ -106,7 +106,7 @@ def what_is_shown(identification: Identification) -> str:
     return "fit to all samples" if gp is None else f"test points of the {gp.chosen} split"
 
 
-def broken(time: np.ndarray, *columns: np.ndarray, gap: float = 1.0) -> tuple[np.ndarray, ...]:
+def broken(time: np.ndarray, *columns: np.ndarray | pd.Series, gap: float = 1.0) -> tuple[np.ndarray, ...]:
     """The columns with NaN put in wherever time jumps by more than `gap` seconds, so that a line breaks there."""
     at = np.flatnonzero(np.diff(time) > gap) + 1
     return tuple(np.insert(np.asarray(c, float), at, np.nan) for c in (time, *columns))
@@ -196,11 +196,7 @@ def _simulated(output: str, flown: TrajectoryFit) -> Figure:
     return drawn(columns, "Measured and simulated: with the first values, and with parameters and initial state fitted")
 
 
-MET = {
-    "gust_w": "vertical gust [m/s]",
-    "gust_u": "longitudinal gust [m/s]",
-    "buffet": "buffet [CL of separated flow]",
-}
+MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "buffet": "buffet [CL of separated flow]"}
 """Gusts by name, as people call them."""
 
 

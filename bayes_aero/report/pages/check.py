@@ -397,10 +397,7 @@ def shown(value: Any) -> str:
 
 
 def effects_page(
-    found: Sequence[Described],
-    source: Mapping[str, Any],
-    aircraft: str | None = None,
-    pictures: Sequence[Picture] = (),
+    found: Sequence[Described], source: Mapping[str, Any], aircraft: str | None = None, pictures: Sequence[Picture] = ()
 ) -> Report:
     """The page; `aircraft` is the title of the card, if any."""
     if len(found) == 1:

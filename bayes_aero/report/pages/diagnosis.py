@@ -35,17 +35,7 @@ from bayes_aero.report.phrases import (
     symbol,
 )
 from bayes_aero.report.plots import MODELS
-from bayes_aero.report.table import (
-    NONE,
-    BeforeAfter,
-    Column,
-    Estimate,
-    Table,
-    columns_of,
-    in_brackets,
-    or_dash,
-    table,
-)
+from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, in_brackets, or_dash, table
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import (

@@ -25,16 +25,7 @@ from bayes_aero.report.phrases import (
     unparted,
 )
 from bayes_aero.report.plots import COLOURS, FLOWN, LOW, Line, Panel, output_panels
-from bayes_aero.report.table import (
-    NONE,
-    Column,
-    Estimate,
-    Table,
-    in_brackets,
-    or_dash,
-    parameter_columns,
-    table,
-)
+from bayes_aero.report.table import NONE, Column, Estimate, Table, in_brackets, or_dash, parameter_columns, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:

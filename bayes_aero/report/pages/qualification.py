@@ -263,12 +263,7 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
         title=f"Qualification: {card.title}",
         subtitle="Probability that the simulation stays inside its tolerances",
         verdict=verdict_sentence(found),
-        lead=[
-            parts.doubts(found.consistency, found.health),
-            verdict_table(found),
-            list(sentences(found)),
-            signature,
-        ],
+        lead=[parts.doubts(found.consistency, found.health), verdict_table(found), list(sentences(found)), signature],
         sections=[
             section("further", "What would decide the rest", lambda: (list(further_sentences(further)), what)),
             section("strips", "Strips", strips),

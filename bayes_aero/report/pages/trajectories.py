@@ -29,15 +29,7 @@ from bayes_aero.report.phrases import (
     symbol,
 )
 from bayes_aero.report.plots import MODELS, output_panels
-from bayes_aero.report.table import (
-    BeforeAfter,
-    Column,
-    Estimate,
-    Table,
-    in_brackets,
-    parameter_columns,
-    table,
-)
+from bayes_aero.report.table import BeforeAfter, Column, Estimate, Table, in_brackets, parameter_columns, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
