@@ -202,7 +202,7 @@ def test_scatter_and_claims_are_those_of_the_values(tmp_path):
     mine = given.results[given.results["parameter"] == "CLa"]["value"]
     assert CLa.scatter == pytest.approx(mine.std())
     assert CLa.claimed == pytest.approx(0.1)
-    assert list(CLa.unit) == list(range(1, 41))
+    assert list(CLa.rows["number"]) == list(range(1, 41))
     text = render(study_page(given))
     assert f"CLa ({CLa.scatter / 0.1:.1f} times)" in text
     assert alpha_star.scatter < 1.5 * alpha_star.claimed

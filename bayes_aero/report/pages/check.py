@@ -67,12 +67,6 @@ def part_sentences(record: RecordReport) -> list[str]:
     return [*sentences, sentence("give_parts")] if sentences else []
 
 
-def unused_columns(report: CheckReport) -> list[tuple[str, ...]]:
-    """Columns of each record that the card does not map; of records with the same ones, at the first of them."""
-    seen: set[tuple[str, ...]] = set()
-    return [() if r.unused in seen or seen.add(r.unused) else r.unused for r in report.records]
-
-
 def card_sentences(report: CheckReport) -> list[str]:
     """Channels that the card adds to the files."""
     card, units = report.card, {"thrust": "N"} | {name: c.unit for name, c in STANDARD_CHANNELS.items()}
@@ -189,9 +183,9 @@ def _sensors(report: CheckReport) -> tuple[Any, ...]:
 
 def _channels(report: CheckReport) -> list[Any]:
     tables = []
-    for r, columns in zip(report.records, unused_columns(report), strict=True):
+    for r in report.records:
         remarks = [f"On the card, not in the file (not required): {', '.join(r.missing)}."] if r.missing else []
-        remarks += [f"In the file, not on the card: {', '.join(columns)}."] if columns else []
+        remarks += [f"In the file, not on the card: {', '.join(r.unused)}."] if r.unused else []
         tables.append(fold(r.path, page_table(channel_table(r)).lean(), [*remarks, *r.remarks]))
     return [*tables, card_sentences(report)]
 

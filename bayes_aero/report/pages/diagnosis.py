@@ -15,7 +15,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report.figures.diagnosis import coefficient_panels, telling
-from bayes_aero.report.page import Gallery, Report, Section, Text, fold, section
+from bayes_aero.report.page import Gallery, Report, Text, fold, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.pages.estimates import LIMIT, band_text, sign_sentences
 from bayes_aero.report.pages.qualification import points_sentences, points_table
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
         Trajectories,
         View,
     )
+    from bayes_aero.flight.card import Card
 
 
 SHOWN = 4  # other terms that are named
@@ -541,32 +542,43 @@ FEW = 4  # manoeuvres that are listed one by one in the open
 
 
 def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
-    """The page of a diagnosis, by coefficients or by trajectories alone."""
-    result, d, whole = context.result, view.diagnosis, cast("View | None", view if hasattr(view, "card") else None)
-    captions = dict(WORDS["captions"])
+    """The page of a diagnosis, by coefficients (which has a `View`) or by trajectories alone."""
+    result, card, d = context.result, context.card, view.diagnosis
+    whole, captions = cast("View | None", view if hasattr(view, "card") else None), dict(WORDS["captions"])
     if whole is not None:
         panel, manoeuvre, _ = telling(whole)
         captions["found"] = captions["found"].format(panel.name, manoeuvre)
     gallery = Gallery(context.figures, captions)
-    verdict, *rest = diagnosis_sentences(d) if whole is not None else sentences(view)
-    gain = "" if view.trajectories is None else simulation_gain(view.trajectories)
+    verdict, *rest = sentences(view)
     shown = revealed(result.hidden, result.named) if result.hidden else []
-    lead: list[Any] = [Text(text, "lead") for text in (*shown, gain) if text]
+    shown += [] if view.trajectories is None else [simulation_gain(view.trajectories)]
+    lead: list[Any] = [Text(text, "lead") for text in shown if text]
     lead.append(gallery("found") or gallery("measured_simulated"))
     if d.compared == "trajectories":
         lead.append("The record lacks channels from which lift, drag and moment coefficients are formed.")
     elif whole is not None and not context.figures:
         lead.append(WORDS["paragraphs"]["not_drawn"])
+    residuals = "Residuals: size, composition, autocorrelation, calibration"
+    drawn = "residual_profiles", "residual_colour"
+    in_full = rest, parts.not_testable_list(d.not_testable)
     return Report(
-        title=f"Diagnosis: {context.card.title}",
+        title=f"Diagnosis: {card.title}",
         subtitle=f"The model error, its causes, and the gain of the extended model{FROM_WHAT[d.compared]}",
         verdict=verdict,
         lead=lead,
         doubts=parts.doubts(result.consistency, result.health, result.failures, corrects=whole is not None),
         sections=[
-            parts.records_section(context.card, context.records, result.health),
+            parts.records_section(card, context.records, result.health),
             section("causes", "Causes of the model error", lambda: _causes(view, context, gallery)),
-            *(_flown_alone(view, context, rest) if whole is None else _by_coefficients(whole, context, gallery)),
+            section("gain", "Gain of the extended model on hold-out data", lambda: whole and _gain(whole, gallery)),
+            section("open", "What is open", lambda: _open(d, context) if whole else in_full),
+            section("fit", "Measured and simulated coefficients", lambda: whole and _coefficients(whole)),
+            section("trajectories", "Trajectories, before and after", lambda: _flown(view, card)),
+            section("stall", "The stall", lambda: _stall(whole, gallery)),
+            section("parameters", "Change of the card's parameters", lambda: whole and _moved(whole, card)),
+            section(
+                "diagnostics", "Diagnostics", lambda: whole and fold(residuals, residual_table(whole), gallery(*drawn))
+            ),
             parts.provenance_section(context.source, result.notes),
         ],
     )
@@ -586,48 +598,22 @@ def _causes(view: DiagnosisView, context: parts.PageContext, gallery: Gallery) -
     ]
 
 
-def _by_coefficients(view: View, context: parts.PageContext, gallery: Gallery) -> list[Section]:
-    def stall() -> tuple[Any, ...]:
-        if not view.stalls:
-            return ("CLmax and the stall angle are not given: no coefficients were formed.",)
-        about = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
-        stalls = {MODELS[key]: s for key, s in view.stalls.items()}
-        return parts.stall_table(stalls, about), gallery("stall_models", "separation_models")
-
-    def residuals() -> Any:
-        title = "Residuals: size, composition, autocorrelation, calibration"
-        return fold(title, residual_table(view), gallery("residual_profiles", "residual_colour"))
-
-    def moves() -> tuple[Any, ...]:
-        known = parts.symbols(context.card, view.parameters, view.moves, degrees=True)
-        return (moves_table(view), known) if view.moves else ()
-
-    return [
-        section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
-        section("open", "Rivals and unexplained structure", lambda: _open(view.diagnosis, context)),
-        section("fit", "Measured and simulated coefficients", lambda: _coefficients(view)),
-        section("trajectories", "Trajectories, before and after", lambda: _flown(view, context)),
-        section("stall", "The stall", stall),
-        section("parameters", "Change of the card's parameters", moves),
-        section("diagnostics", "Diagnostics", residuals),
-    ]
+def _stall(view: View | None, gallery: Gallery) -> Any:
+    if view is None or not view.stalls:
+        return "CLmax and the stall angle are not given: they need lift coefficients."
+    about = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
+    stalls = {MODELS[key]: s for key, s in view.stalls.items()}
+    return parts.stall_table(stalls, about), gallery("stall_models", "separation_models")
 
 
-def _flown_alone(view: DiagnosisView, context: parts.PageContext, rest: Sequence[str]) -> list[Section]:
-    alone = view.diagnosis.compared == "trajectories"
-    reason = "without accelerometers lift is not measured" if alone else "no lift coefficient was formed"
-    full = (rest, parts.not_testable_list(view.diagnosis.not_testable))
-    return [
-        section("open", "Findings in full", lambda: full),
-        section("trajectories", "Trajectories, before and after", lambda: _flown(view, context)),
-        section("stall", "The stall", lambda: f"CLmax and the stall angle are not given: {reason}."),
-    ]
+def _moved(view: View, card: Card) -> Any:
+    return view.moves and (moves_table(view), parts.symbols(card, view.parameters, view.moves, degrees=True))
 
 
-def _flown(view: DiagnosisView, context: parts.PageContext) -> tuple[Any, ...]:
+def _flown(view: DiagnosisView, card: Card) -> Any:
     if view.trajectories is None:
-        return ("No trajectories were simulated in this run.",)
-    return trajectories(view.trajectories, context.card), trajectory_sentences(view.trajectories)
+        return "No trajectories were simulated in this run."
+    return trajectories(view.trajectories, card), trajectory_sentences(view.trajectories)
 
 
 def _gain(view: View, gallery: Gallery) -> tuple[Any, ...]:

@@ -29,7 +29,8 @@ from bayes_aero.report.table import NONE, Column, Estimate, Table, in_brackets, 
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import Disagreement, Motion, TrajectoryFit
+    from bayes_aero.diagnosis.result import Disagreement, Motion, ProcessNoise, TrajectoryFit
+    from bayes_aero.inference.results import Posterior
     from bayes_aero.parameter import Prior
 
 START, FITTED = FLOWN
@@ -254,11 +255,10 @@ def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
     """The page; nothing on it but the fit's own numbers."""
     result = context.result
     verdict, *rest = result.sentences
-    card, motion, posteriors = context.card, result.motion, result.posteriors
+    card, motion = context.card, result.motion
     units = {name: flown.units[name] for name in flown.outputs}
     gallery = Gallery(context.figures, WORDS["captions"])
     bands = [text for fit in flown.frequency for text in estimates.frequency_sentences(fit)]
-    predictions = None if result.process_noise is None else result.process_noise.one_step
     of_path = "Flight path", "Errors of sensors, from recorded accelerations and rates"
     of_model = "Trajectories", "A model fitted to trajectories by output error"
     title, subtitle = of_path if flown.of_path else of_model
@@ -276,30 +276,8 @@ def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
             section("parameters", "Parameters", lambda: _parameters(flown, context, gallery)),
             section("frequency", "In the frequency domain", lambda: (bands, gallery("bode"))),
             section("motion", "Modes of motion", lambda: mode_table(motion) if motion and motion.modes else None),
-            section(
-                "predictions",
-                "One-step predictions",
-                lambda: (
-                    predictions
-                    and (
-                        trajectories.prediction_sentences(predictions),
-                        trajectories.one_step_table(predictions, flown.units),
-                    )
-                ),
-            ),
-            section(
-                "posterior",
-                "Posterior",
-                lambda: (
-                    posteriors
-                    and (
-                        parts.warnings(estimates.unfinished(posteriors)),
-                        WORDS["paragraphs"]["posterior"],
-                        trajectories.posterior_table(posteriors),
-                        gallery("pair"),
-                    )
-                ),
-            ),
+            section("predictions", "One-step predictions", lambda: _predictions(flown, result.process_noise)),
+            section("posterior", "Posterior", lambda: _posterior(result.posteriors, gallery)),
             parts.provenance_section(context.source, folded=True),
         ],
     )
@@ -314,6 +292,19 @@ def _parameters(flown: TrajectoryFit, context: parts.PageContext, gallery: Galle
         parts.symbols(context.card, fit.parameters, fit.names),
         initial_table(flown),
     ]
+
+
+def _predictions(flown: TrajectoryFit, disturbed: ProcessNoise | None) -> Any:
+    if disturbed is None or disturbed.one_step is None:
+        return None
+    of = disturbed.one_step
+    return trajectories.prediction_sentences(of), trajectories.one_step_table(of, flown.units)
+
+
+def _posterior(posteriors: Mapping[str, Posterior], gallery: Gallery) -> Any:
+    doubts = parts.warnings(estimates.unfinished(posteriors))
+    about = WORDS["paragraphs"]["posterior"]
+    return (doubts, about, trajectories.posterior_table(posteriors), gallery("pair")) if posteriors else None
 
 
 def _lead(flown: TrajectoryFit) -> Text:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -116,8 +116,8 @@ def _across(found: list[AcrossUnits]) -> tuple[Any, ...]:
     columns = [
         column(lambda e: e.label, page="parameter"),
         column(lambda e: e.method, page="method", words=True),
-        column(lambda e: len(e.value), page="units"),
-        column(lambda e: float(np.mean(e.value)), page="mean", form=4),
+        column(lambda e: len(e.rows), page="units"),
+        column(lambda e: float(e.rows["value"].mean()), page="mean", form=4),
         column(lambda e: plain_unit(e.si), page="unit", words=True),
         column(lambda e: e.scatter, page="scatter", form=2),
         column(lambda e: e.claimed, page="standard error", form=2),
@@ -160,40 +160,34 @@ METHODS = {
 DRAWN, MOST_PANELS, MOST_BARS = 2, 18, 60
 
 
-@dataclass(frozen=True)
-class AcrossUnits:
-    """One parameter by one method in every unit that has it; `unit` counts units from 1, values in SI."""
+class AcrossUnits(NamedTuple):
+    """One parameter by one method in every unit that has it; `rows` have SI values and, from 1, the units' numbers."""
 
     label: str
     method: str
     si: str
-    unit: np.ndarray
-    value: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    sd: np.ndarray
+    rows: pd.DataFrame
 
     @property
     def scatter(self) -> float:
         """Standard deviation between units; NaN for a single one."""
-        return float(np.std(self.value, ddof=1)) if len(self.value) > 1 else float("nan")
+        return float(self.rows["value"].std())
 
     @property
     def claimed(self) -> float:
         """Root mean square of the units' own standard errors."""
-        return float(np.sqrt(np.mean(np.square(self.sd))))
+        return float(np.sqrt(np.mean(np.square(self.rows["sd"]))))
 
 
 def estimates(units: pd.DataFrame, results: pd.DataFrame) -> list[AcrossUnits]:
     """Every parameter and method of a study, in the order of the results; values that are missing are left out."""
-    number = {name: k for k, name in enumerate(units["unit"], start=1)}
-    found = []
+    number, every = {name: k for k, name in enumerate(units["unit"], start=1)}, []
     for key, part in results.dropna(subset=["value"]).groupby(["cause", "parameter", "method"], sort=False):
         cause, parameter, method = map(str, key)  # type: ignore[call-overload]
         label, si = f"{cause}: {parameter}" if cause else parameter, str(part["unit_of_value"].iloc[0])
-        columns = (part[name].to_numpy(float) for name in ("value", "low95", "high95", "sd"))
-        found.append(AcrossUnits(label, method, si, np.array([number[name] for name in part["unit"]]), *columns))
-    return found
+        numbers = part[["value", "low95", "high95", "sd"]].astype(float)
+        every.append(AcrossUnits(label, method, si, numbers.assign(number=part["unit"].map(number))))
+    return every
 
 
 def panels_of(found: list[AcrossUnits]) -> Iterator[tuple[str, list[AcrossUnits]]]:
@@ -211,23 +205,19 @@ def across(found: list[AcrossUnits]) -> Figure:
     if not groups:
         raise NotDrawn("no unit has an estimate")
     figure, axes = grid_of(len(groups), 3, (3.6, 2.3))
-    last = max(int(e.unit.max()) for _, group in groups for e in group)
+    last = max(int(e.rows["number"].max()) for _, group in groups for e in group)
     labels = {}
     for ax, (label, group) in zip(axes, groups, strict=True):
         unit, factor = for_people(group[0].si)
         for k, e in enumerate(group):
-            name, colour = METHODS[e.method]
-            x, y = e.unit + (k - 0.5 * (len(group) - 1)) * 0.25, factor * e.value
-            if last <= MOST_BARS:
-                ends = np.abs(factor * np.stack([e.value - e.low, e.high - e.value]))
-                ends = np.where(np.isfinite(ends), ends, 0.0)
-                shown = ax.errorbar(x, y, ends, fmt="os"[k], ms=3.5, lw=1.1, label=name, color=COLOURS[colour])
-            else:
-                (shown,) = ax.plot(x, y, ".", ms=2.5, label=name, color=COLOURS[colour])
-            labels.setdefault(name, shown)
+            (name, colour), value = METHODS[e.method], factor * e.rows["value"]
+            ends = np.abs([value - factor * e.rows["low95"], factor * e.rows["high95"] - value])
+            x, ends = e.rows["number"] + (k - 0.5 * (len(group) - 1)) * 0.25, np.where(np.isfinite(ends), ends, 0.0)
+            look = {"ms": 3.5, "elinewidth": 1.1} if last <= MOST_BARS else {"ms": 2.0, "elinewidth": 0.4}
+            labels.setdefault(name, ax.errorbar(x, value, ends, fmt="os"[k], color=COLOURS[colour], **look))
         ax.set(title=label, xlim=(0.4, last + 0.6), ylabel=bracket(unit), xlabel="unit")
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.ticklabel_format(axis="y", useOffset=False)
     figure.legend(labels.values(), labels, loc="outside lower center", ncols=3)
-    figure.suptitle("Estimates of all units, with 95 % intervals" if last <= MOST_BARS else "Estimates of all units")
+    figure.suptitle("Estimates of all units, with 95 % intervals")
     return figure
