@@ -26,14 +26,11 @@ SYMBOLS = {
 UNITS = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
 UNITS |= {"X": "1", "elapsed": "s", "alpha_dot": "rad/s"}  # what else is on an axis
 
+DEGREES = 180.0 / np.pi
 FOR_PEOPLE = {
-    "rad": ("deg", 180.0 / np.pi),
-    "rad/s": ("deg/s", 180.0 / np.pi),
-    "m/s^2": ("m/s²", 1.0),
-    "rad/s^2": ("deg/s²", 180.0 / np.pi),
-    "1/rad^2": ("1/rad²", 1.0),
-    "kg/m^3": ("kg/m³", 1.0),
-}
+    "rad": ("deg", DEGREES), "rad/s": ("deg/s", DEGREES), "rad/s^2": ("deg/s²", DEGREES), "m/s^2": ("m/s²", 1.0),
+    "1/rad^2": ("1/rad²", 1.0), "kg/m^3": ("kg/m³", 1.0),
+}  # fmt: skip
 
 
 class _Filled(Formatter):

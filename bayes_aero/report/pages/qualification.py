@@ -214,25 +214,21 @@ def verdict_sentence(found: Qualification) -> str:
 
 
 def sentences(found: Qualification) -> tuple[str, ...]:
-    """Weakest tests, agreement of the probabilities with the records, and extrapolation."""
-    said = []
+    """Whether the probabilities agree with the records, and extrapolation."""
+    texts = []
     for kind, words in (("AGAIN", "fitted manoeuvre flown again"), ("TEST", "manoeuvre that was not fitted")):
         if tests := [t for t in found.tests if t.kind.name == kind]:
             expected = sum(t.chance.value for t in tests)
             passed = sum(t.recorded is not None and t.recorded.passed for t in tests)
-            said.append(sentence("expected_passes", n=len(tests), words=words, expected=expected, passed=passed))
-    if following := [t for t in found.tests if t.kind.name == "NEXT"]:
-        least = min(following, key=lambda t: t.chance.value)
-        chance, half = chance_text(least.chance), band(least.output, least.tolerance)
-        said.append(sentence("weakest", band=half, manoeuvre=least.manoeuvre, chance=chance))
-    return (*said, *region_sentences(found))
+            texts.append(sentence("expected_passes", n=len(tests), words=words, expected=expected, passed=passed))
+    return (*texts, *region_sentences(found))
 
 
 def region_sentences(found: Qualification) -> list[str]:
     """Where manoeuvres leave the flown region."""
-    said = [sentence("outside_region", one=one, excess=_excess(one)) for one in found.outside]
-    said = said or [sentence("inside_region", channels=found.channels)]
-    return said + ([sentence("region_unjudged", channels=found.unjudged)] if found.unjudged else [])
+    texts = [sentence("outside_region", o=o, excess=_excess(o)) for o in found.outside]
+    texts = texts or [sentence("inside_region", channels=found.channels)]
+    return texts + ([sentence("region_unjudged", channels=found.unjudged)] if found.unjudged else [])
 
 
 # --- The page that an evaluator signs or refuses.
