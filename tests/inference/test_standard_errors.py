@@ -237,7 +237,7 @@ class Mean(LogDensity):
         return (Parameter("m", "1", 0.0, 0.0, "a mean", Prior("normal", 0.0, self.width)),)
 
     @property
-    def noise_label(self):
+    def label_of(self):
         return "white"
 
     def log_likelihood(self, x):

@@ -21,7 +21,7 @@ from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.figures.time_histories import predicted, what_is_shown
 from bayes_aero.report.pages import estimates as comparison
-from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered, unit_of
+from bayes_aero.report.pages.estimates import chosen_posteriors, label_of, ordered, unit_of
 from bayes_aero.report.phrases import bracket, plus_minus
 from bayes_aero.report.plots import COLOURS, MODELS
 from bayes_aero.report.table import Estimate
@@ -57,32 +57,25 @@ def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: An
     return figure
 
 
-def _title(identification: Identification, engine: str, what: str) -> str:
-    p = identification.posteriors[engine]
-    rhat, ess = max(m.rhat for m in p.marginals.values()), min(m.ess_bulk for m in p.marginals.values())
-    status = p.status.name.lower().replace("_", " ")
-    text = f"{what}: {engine_label(engine)}, {noise_label(p.noise)} noise, {status}"
-    return f"{text} (worst R-hat {rhat:.3f}, smallest bulk ESS {ess:.0f})"
-
-
 def _chains(identification: Identification, kind: str, engine: str) -> Figure:
     """The plot of `arviz_plots` of every parameter's chains by an engine: traces, or ranks (ECDF less uniform)."""
     if engine not in identification.posteriors:
-        raise style.NotDrawn(f"this run has no posterior by {engine_label(engine)}")
+        raise style.NotDrawn(f"this run has no posterior by {label_of(engine)}")
     posterior = identification.posteriors[engine]
+    status = posterior.status.name.lower().replace("_", " ")
+    about = f"{kind.capitalize()}: {label_of(engine)}, {label_of(posterior.noise)} noise, {status}"
     names, chains = ordered(posterior.names, identification.mle.parameters), posterior.tree["posterior"].sizes["chain"]
     size: tuple[float, float] = 3.7 * min(len(names), 4), 2.1 * -(-len(names) // 4) + 0.6
     if kind == "trace":
         below = "draw, walkers end to end, thinned [-]" if engine == "emcee" else "draw, thinned [-]"
         how = {"trace": {"alpha": 0.6, "width": 0.4}, "xlabel": False, "ticklabels": False, "title": False}
         look = {"aes": {"color": ["chain"]}, "visuals": how}
-        most, title = TRACE_DRAWS, _title(identification, engine, "Trace")
+        most = TRACE_DRAWS
     else:
         below, look = "fractional rank [-]", {"visuals": {"xlabel": False}}
         independent = min(m.ess_bulk for m in posterior.marginals.values())
         most = min(RANK_DRAWS, max(50, int(independent / chains)))
-        band = "\nthinned to independent draws; band: 99 % for chains that agree"
-        title = _title(identification, engine, "Rank") + band
+        about += "\nthinned to independent draws; band: 99 % for chains that agree"
     figure = _draw(kind, _thinned(posterior, names, most), size, col_wrap=4, color=CHAIN_COLOURS, **look)
     for number, (ax, name) in enumerate(zip([ax for ax in figure.axes if ax.has_data()], names, strict=True)):
         if kind == "trace":
@@ -92,7 +85,7 @@ def _chains(identification: Identification, kind: str, engine: str) -> Figure:
             ax.set_ylabel("Δ ECDF [-]" if number % 4 == 0 else "")
         if number >= len(names) - 4:
             ax.set_xlabel(below)
-    figure.suptitle(title)
+    figure.suptitle(about)
     return figure
 
 
@@ -120,7 +113,7 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
             ax.set_yticks([])
         ax.set_xlabel(f"{names[column]} [SI]" if last else "")
         ax.set_ylabel(("density" if row == 0 else f"{names[row]} [SI]") if column == 0 else "")
-    figure.suptitle(f"Posterior by {engine_label(engine)}: the parameters of the largest correlations")
+    figure.suptitle(f"Posterior by {label_of(engine)}: the parameters of the largest correlations")
     return figure
 
 
@@ -146,7 +139,7 @@ def pit_histogram(identification: Identification) -> Figure:
     axes[0].set_ylabel("density, 1 if calibrated [-]")
     style.legend_below(figure, axes[0], 2)
     what = "posterior predictive" if identification.noise == "white" else "one-step-ahead posterior predictive"
-    figure.suptitle(f"Where measurements fall in the {what} ({engine_label(t.engine)})")
+    figure.suptitle(f"Where measurements fall in the {what} ({label_of(t.engine)})")
     return figure
 
 
@@ -322,7 +315,7 @@ def prior_posterior(identification: Identification) -> Figure:
     chosen = chosen_posteriors(identification)
     if not chosen:
         raise style.NotDrawn("this run has no posterior")
-    shown = {engine_label(key): (key, p) for key, p in chosen.items()}
+    shown = {label_of(key): (key, p) for key, p in chosen.items()}
     if "white" in identification.posteriors:
         shown["emcee, white noise"] = ("white", identification.posteriors["white"])
     first = next(iter(chosen.values()))
@@ -336,7 +329,7 @@ def prior_posterior(identification: Identification) -> Figure:
         if number % 4 == 0:
             ax.set_ylabel("density / peak [-]")
     style.legend_below(figure, axes[0])
-    figure.suptitle(f"Prior against posterior, {noise_label(identification.noise)} noise")
+    figure.suptitle(f"Prior against posterior, {label_of(identification.noise)} noise")
     return figure
 
 

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     )
     from bayes_aero.parameter import Parameter
 
-ENGINES = {"emcee": "emcee", "nuts": "NUTS"}
-NOISES = {"ar1": "AR(1)", "buffet-ar1": "AR(1) with buffet"}
+LABELS = {"nuts": "NUTS", "ar1": "AR(1)", "buffet-ar1": "AR(1) with buffet"}
 # What counts as a disagreement: our choice, wide enough not to report sampling error or chance.
 FACTOR = 1.25  # ratio of two standard errors, either way, up to which they agree
 LIMIT = 3.0  # standard errors of a difference from which two values differ
@@ -83,14 +82,9 @@ def white_posterior(run: Identification) -> Posterior | None:
     return next(iter(chosen_posteriors(run).values()), None)
 
 
-def engine_label(key: str) -> str:
-    """Name of an engine for readers."""
-    return ENGINES.get(key, key)
-
-
-def noise_label(noise: str) -> str:
-    """Name of a noise model for readers."""
-    return NOISES.get(noise, noise)
+def label_of(key: str) -> str:
+    """Name of an engine or of a noise model for readers."""
+    return LABELS.get(key, key)
 
 
 def methods(run: Identification) -> list[Method]:
@@ -101,7 +95,7 @@ def methods(run: Identification) -> list[Method]:
         Method("crb_corrected", "ML, corrected bound", bounds(mle, mle.crb_corrected)),
     ]
     for key in sorted(run.posteriors, key=lambda key: key != "white"):
-        label = "emcee, white noise" if key == "white" else f"{engine_label(key)}, {noise_label(run.noise)} noise"
+        label = "emcee, white noise" if key == "white" else f"{label_of(key)}, {label_of(run.noise)} noise"
         marginals = run.posteriors[key].marginals.items()
         every.append(Method(key, label, {n: Estimate.of(m) for n, m in marginals if n in mle.names}))
     return every
@@ -204,7 +198,7 @@ def _noise_model(run: Identification) -> list[str]:
     if near and not beyond:
         return []
     thinned = "" if run.noise == "white" else ", and a coloured one uses one sample in five"
-    sizes = {"median": median, "worst": worst, "name": name, "noise": noise_label(run.noise)}
+    sizes = {"median": median, "worst": worst, "name": name, "noise": label_of(run.noise)}
     sentences = [sentence("noise_model", thinned=thinned, **sizes)]
     if beyond:  # certain causes before possible ones
         why = sentence("why_priors", names=[c.name for c in run.mle.conflicts])
@@ -401,7 +395,7 @@ SDS = 0.15  # relative difference of standard deviations up to which samplers ag
 
 def unfinished(posteriors: Mapping[str, Posterior]) -> list[str]:
     """Posteriors that must not be used."""
-    labels = {key: engine_label(key) for key in posteriors} | {"white": "emcee under white noise"}
+    labels = {key: label_of(key) for key in posteriors} | {"white": "emcee under white noise"}
     doubtful = {labels[key]: p.status.value for key, p in posteriors.items() if p.status.name != "CONVERGED"}
     return [f"The posterior by {label}: {status}." for label, status in doubtful.items()]
 
@@ -416,7 +410,7 @@ def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
         far, wide = max(means, key=lambda n: means[n]), max(sds, key=lambda n: abs(np.log(sds[n])))
         agree = means[far] < MEANS and abs(sds[wide] - 1.0) < SDS
         sizes = {"means": means[far], "far": far, "sds": abs(sds[wide] - 1.0), "wide": wide}
-        key, engines = "samplers" if agree else "samplers_disagree", [engine_label(a), engine_label(b)]
+        key, engines = "samplers" if agree else "samplers_disagree", [label_of(a), label_of(b)]
         sentences.append(sentence(key, engines=engines, **sizes))
     return sentences
 

@@ -14,7 +14,7 @@ from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.figures.posterior import CORRELATIONS
 from bayes_aero.report.page import Gallery, Report, fold, section
 from bayes_aero.report.pages import estimates, parts
-from bayes_aero.report.pages.estimates import engine_label, noise_label, ordered, unit_of
+from bayes_aero.report.pages.estimates import label_of, ordered, unit_of
 from bayes_aero.report.pages.parts import DEG, interval
 from bayes_aero.report.pages.trajectories import given_flights
 from bayes_aero.report.phrases import WORDS, from_to, plus_minus, sentence, several, unparted
@@ -52,7 +52,7 @@ def parameter_table(run: Identification) -> Table:
     for m in sampled:
         white, label = m.key == "white", m.label.replace(", ", "\n", 1)
         files = tuple(f"{m.key}_{part}" for part in ("mean", "sd", *(() if white else ("ci95_low", "ci95_high"))))
-        head = f"{engine_label(m.key)}\n{noise_label(run.noise)}" if m.key == posterior else None
+        head = f"{label_of(m.key)}\n{label_of(run.noise)}" if m.key == posterior else None
         column = Column(m.of(names), files, label, "sd\nwhite" if white else head, _interval, group=SAMPLED)
         columns.append(replace(column, terminal_form=_sd if white else in_brackets))
     if run.frequency is not None:
@@ -151,7 +151,7 @@ def sampler_table(run: Identification, key: str) -> Table:
         column(lambda r: r[1].ess_bulk, page="bulk ESS", form=".0f"),
         column(lambda r: r[1].ess_tail, page="tail ESS", form=".0f"),
     ]
-    about = {"engine": engine_label(posterior.engine), "noise": noise_label(posterior.noise)}
+    about = {"engine": label_of(posterior.engine), "noise": label_of(posterior.noise)}
     return table("sampler", columns, **about, status=posterior.status.value, divergent=divergent)
 
 
@@ -232,7 +232,7 @@ def _captions(run: Identification) -> dict[str, str]:
     captions = dict(WORDS["captions"])
     captions["fig2_gpr_fit"] = captions["fig2_gpr_fit"].format(several(run.mle.fit))
     for engine in run.posteriors:
-        captions |= {f"{kind}_{engine}": captions[kind].format(engine_label(engine)) for kind in ("trace", "rank")}
+        captions |= {f"{kind}_{engine}": captions[kind].format(label_of(engine)) for kind in ("trace", "rank")}
     captions |= {CORRELATIONS[c]: captions["correlation"].format(c) for c in run.mle.fit}
     return captions
 
@@ -280,7 +280,7 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
     if run.stall is None:
         why = "no posterior was sampled or the fit did not reach an optimum"
         return (f"CLmax and the stall angle are not given: {why}.",)
-    label = f"{engine_label(next(iter(estimates.chosen_posteriors(run))))}, {noise_label(run.noise)} noise"
+    label = f"{label_of(next(iter(estimates.chosen_posteriors(run))))}, {label_of(run.noise)} noise"
     return (
         parts.stall_table({label: run.stall}, "Intervals are those of the posterior."),
         "The figure at the top of the page shows lift, time spent at each angle of attack, and the drag polar.",

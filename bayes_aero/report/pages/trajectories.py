@@ -14,7 +14,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import TOLERANCES
 from bayes_aero.report.page import Facts, Fold, fold
 from bayes_aero.report.pages import parts
-from bayes_aero.report.pages.estimates import engine_label
+from bayes_aero.report.pages.estimates import label_of
 from bayes_aero.report.phrases import (
     WORDS,
     amounts,
@@ -339,7 +339,7 @@ def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
     names = list(next(iter(posteriors.values())).names)
     columns = [Column(names, "parameter", "parameter", "")]
     for key, posterior in posteriors.items():
-        rows, label = [posterior.marginals[name] for name in names], engine_label(key)
+        rows, label = [posterior.marginals[name] for name in names], label_of(key)
         files = tuple(f"{key}_{part}" for part in ("mean", "sd", "low", "high"))
         interval = [" to ".join(number(end, 3) for end in m.ci95) for m in rows]
         columns += [
