@@ -126,7 +126,7 @@ def diagnose(
             first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
             console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
         if found.view.trajectories is not None:
-            console.print(hold_out_table(found.view.trajectories, ["hold_out"]).terminal())
+            console.print(hold_out_table(found.view.trajectories, brief=True).terminal())
         more = (*in_band_sentences(found.in_band), *points_sentences(found.test_points))
         terminal.print_lines(console, (*rest, *more), found.notes)
         for sentence in revealed(found.hidden, found.named) if found.hidden is not None else ():

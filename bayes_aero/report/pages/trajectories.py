@@ -173,10 +173,12 @@ def error_table(
     return table(key, columns, below=[flight for flight, *_ in rows], **texts)
 
 
-def hold_out_table(flown: Trajectories, splits: Sequence[str] = ("fitted", "hold_out")) -> Table:
-    """Errors of both models, fitted jointly and on hold-out flights."""
-    every = dict.fromkeys((split, p.manoeuvre) for split in splits for p in flown.paths if p.split == split)
-    flights = {f"{m}, {SPLIT_NAMES[split]}": [flown.path(m, model, split) for model in MODELS] for split, m in every}
+def hold_out_table(flown: Trajectories, *, brief: bool = False) -> Table:
+    """Errors of both models, fitted jointly and on hold-out flights; `brief` has the latter alone if there are any."""
+    every = dict.fromkeys((p.split, p.manoeuvre) for p in sorted(flown.paths, key=lambda p: p.split))
+    unseen = [flight for flight in every if flight[0] == "hold_out"]
+    shown = unseen if brief and unseen else list(every)
+    flights = {f"{m}, {SPLIT_NAMES[split]}": [flown.path(m, model, split) for model in MODELS] for split, m in shown}
     status = "".join(f" {text}" for text in status_sentences(flown))
     return error_table("hold_out_errors", flights, SI, ("before", "after"), status=status)
 
