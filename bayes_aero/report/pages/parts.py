@@ -15,13 +15,12 @@ from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.page import Block, Facts, Fold, HtmlTable, Plot, Section, Text, blocks, fold, section
 from bayes_aero.report.phrases import (
     WORDS,
-    bracket,
+    axis_label,
     for_people,
     plain_unit,
     sentence,
     several,
     size_text,
-    symbol,
     unit_behind,
 )
 from bayes_aero.report.plots import LOW, MOST, TIME, Over, Panel, linked, measured_panel
@@ -162,9 +161,7 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Any, ...]:
     if (rows := card.linear) is not None:
         units = {name: channel_units(card)[name] for name in (*rows.states, *rows.outputs, *rows.inputs)}
     shown = [name for name in units if any(record.has(name) for record in records)]
-    words = {"p": "roll rate p", "q": "pitch rate q", "r": "yaw rate r"}
-    words |= {name: f"{name} {symbol(name)}" for name in shown if symbol(name) != name}
-    heads = [f"{words.get(name, name)}\n{bracket(for_people(units[name])[0])}" for name in shown]
+    heads = [axis_label(name, units[name]).replace(" [", "\n[") for name in shown]
     seconds, lines = [float(record.time[-1] - record.time[0]) for record in records], []
     for r, s in zip(records, seconds, strict=True):
         ranges = []
