@@ -40,14 +40,14 @@ def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
         column(lambda p: p["seconds"], "seconds", "time\n[s]", "time\n[s]", form=".0f"),
     ]
     for name, (unit, factor, form) in RANGES.items():
-        found, shown = [p["excursion"].get(name) for p in points], []
-        for pair in found:
+        ranges, shown = [p["excursion"].get(name) for p in points], []
+        for pair in ranges:
             low, high = ("", "") if pair is None else (form.format(factor * x) for x in pair)
             greatest = "" if pair is None else form.format(max(factor * pair[1], 0.0))
             shown.append(greatest if name == "altitude_loss" or pair is None else f"{low} to {high}")
         columns.append(Column(shown, "", f"{name.replace('_', ' ')}\n[{unit}]", form=str))
         for k, end in enumerate(("least", "greatest")):
-            columns.append(Column([None if x is None else x[k] for x in found], f"{name}_{end}"))
+            columns.append(Column([None if x is None else x[k] for x in ranges], f"{name}_{end}"))
     return columns
 
 
@@ -138,25 +138,25 @@ def chance_text(chance: result.Chance | None) -> str:
     return f"{chance.value:z.3f} ± {chance.error:.3f}"
 
 
-def verdict_table(found: Qualification) -> Table:
+def verdict_table(q: Qualification) -> Table:
     """A row for each tolerance."""
-    column = columns_of(list(found.tolerances))
+    column = columns_of(list(q.tolerances))
 
     def least(kind: str, page: str, terminal: str) -> Column:
         def of(output: str) -> str:
-            chances = [t.chance for t in found.of(output) if t.kind.name == kind]
+            chances = [t.chance for t in q.of(output) if t.kind.name == kind]
             return chance_text(min(chances, key=lambda chance: chance.value, default=None))
 
         return column(of, "", page, terminal)
 
     def records(output: str) -> str:
-        passed = [t.recorded.passed for t in found.of(output) if t.recorded is not None]
+        passed = [t.recorded.passed for t in q.of(output) if t.recorded is not None]
         return f"{sum(passed)} of {len(passed)}"
 
-    new = any(test.kind.name == "TEST" for test in found.tests)
+    new = any(test.kind.name == "TEST" for test in q.tests)
     columns = [
-        column(lambda n: band(n, found.tolerances[n][0]), "", "tolerance", "tolerance"),
-        column(lambda n: found.verdict(n).value, "", "verdict", "verdict"),
+        column(lambda n: band(n, q.tolerances[n][0]), "", "tolerance", "tolerance"),
+        column(lambda n: q.verdict(n).value, "", "verdict", "verdict"),
         column(records, "", "records\ninside", "records inside"),
         least("AGAIN", "fitted,\nflown again", "again"),
         *([least("TEST", "not fitted", "not fitted")] if new else []),
@@ -165,11 +165,11 @@ def verdict_table(found: Qualification) -> Table:
     return table("verdicts", columns)
 
 
-def test_table(found: Qualification) -> Table:
+def test_table(q: Qualification) -> Table:
     """A row for each manoeuvre and output."""
-    rows = list(found.tests)
+    rows = list(q.tests)
     column = columns_of(rows)
-    away = {one.manoeuvre for one in found.outside if one.motion in ("recorded", "simulated")}
+    away = {o.manoeuvre for o in q.outside if o.motion in ("recorded", "simulated")}
     largest = [t.recorded and "".join(amounts(STANDARD_CHANNELS[t.output].unit, t.recorded.largest)) for t in rows]
     record = "record beside simulation"
     columns = [
@@ -204,31 +204,31 @@ def _excess(o: result.Outside) -> str:
     return ", ".join(f"{symbol(name)} {x:+.2g}{unit_behind(units[name][0])}" for name, x in shown.items())
 
 
-def verdict_sentence(found: Qualification) -> str:
+def verdict_sentence(q: Qualification) -> str:
     """The model's verdict, and the tolerances that decide it."""
     by: dict[str, list[str]] = {"passes": [], "undecided": [], "fails": []}
-    for name, (half, _) in found.tolerances.items():
-        by[found.verdict(name).value].append(band(name, half))
+    for name, (half, _) in q.tolerances.items():
+        by[q.verdict(name).value].append(band(name, half))
     listed = [f"{word.capitalize()}: {several(names)}" for word, names in by.items() if names]
-    return f"{sentence(f'model_{found.whole.value}')} {'. '.join(listed)}."
+    return f"{sentence(f'model_{q.whole.value}')} {'. '.join(listed)}."
 
 
-def sentences(found: Qualification) -> tuple[str, ...]:
+def sentences(q: Qualification) -> tuple[str, ...]:
     """Whether the probabilities agree with the records, and extrapolation."""
     texts = []
     for kind, words in (("AGAIN", "fitted manoeuvre flown again"), ("TEST", "manoeuvre that was not fitted")):
-        if tests := [t for t in found.tests if t.kind.name == kind]:
+        if tests := [t for t in q.tests if t.kind.name == kind]:
             expected = sum(t.chance.value for t in tests)
             passed = sum(t.recorded is not None and t.recorded.passed for t in tests)
             texts.append(sentence("expected_passes", n=len(tests), words=words, expected=expected, passed=passed))
-    return (*texts, *region_sentences(found))
+    return (*texts, *region_sentences(q))
 
 
-def region_sentences(found: Qualification) -> list[str]:
+def region_sentences(q: Qualification) -> list[str]:
     """Where manoeuvres leave the flown region."""
-    texts = [sentence("outside_region", o=o, excess=_excess(o)) for o in found.outside]
-    texts = texts or [sentence("inside_region", channels=found.channels)]
-    return texts + ([sentence("region_unjudged", channels=found.unjudged)] if found.unjudged else [])
+    texts = [sentence("outside_region", o=o, excess=_excess(o)) for o in q.outside]
+    texts = texts or [sentence("inside_region", channels=q.channels)]
+    return texts + ([sentence("region_unjudged", channels=q.unjudged)] if q.unjudged else [])
 
 
 # --- The page that an evaluator signs or refuses.
@@ -237,34 +237,34 @@ BLANK = "\u00a0" * 30
 FLIGHTS, ORIGIN = "#56B4E9", "Origin of the tolerances"
 
 
-def qualification_page(found: Qualification, card: Card, source: Mapping[str, Any]) -> Report:
+def qualification_page(q: Qualification, card: Card, source: Mapping[str, Any]) -> Report:
     """The page; its first screen is what is signed. `source` is its provenance."""
     lines = (("☐ accepted", BLANK, BLANK, BLANK), ("☐ refused, because", BLANK, BLANK, BLANK))
     signature = HtmlTable("Decision of the evaluator", ("", "name", "signature", "date"), lines, words=(1, 2, 3))
-    words, further = WORDS["qualification"], found.further
-    origins = tuple((name.capitalize(), text) for name, text in found.origins.items())
-    tolerances = tuple((name, origin) for name, (_, origin) in found.tolerances.items())
-    draws = f"{found.draws} flights are drawn for every test."
-    counted = (words["definition"], Facts(origins), [draws, *words["counting"]], list(found.notes))
+    words, further = WORDS["qualification"], q.further
+    origins = tuple((name.capitalize(), text) for name, text in q.origins.items())
+    tolerances = tuple((name, origin) for name, (_, origin) in q.tolerances.items())
+    draws = f"{q.draws} flights are drawn for every test."
+    counted = (words["definition"], Facts(origins), [draws, *words["counting"]], list(q.notes))
     read = ("Read:", words["read"], "Not read, or not of the rule:", words["unread"])
     what = further_table(further) if further and further.points else None
 
     def strips() -> list[Any]:
-        following, flown = ([s for s in found.strips if (s.kind.name == "NEXT") is ahead] for ahead in (True, False))
-        shown, hidden = ([_strip(s, found) for s in of[: parts.MOST_SHOWN]] for of in (flown, following))
+        following, flown = ([s for s in q.strips if (s.kind.name == "NEXT") is ahead] for ahead in (True, False))
+        shown, hidden = ([_strip(s, q) for s in of[: parts.MOST_SHOWN]] for of in (flown, following))
         more = parts.first([s.manoeuvre for s in flown])[1]
         return [WORDS["paragraphs"]["strips"], more, shown, fold("The same manoeuvres on the next flight", hidden)]
 
     return Report(
         title=f"Qualification: {card.title}",
         subtitle="Probability that the simulation stays inside its tolerances",
-        verdict=verdict_sentence(found),
-        lead=[parts.doubts(found.consistency, found.health), verdict_table(found), list(sentences(found)), signature],
+        verdict=verdict_sentence(q),
+        lead=[parts.doubts(q.consistency, q.health), verdict_table(q), list(sentences(q)), signature],
         sections=[
             section("further", "What would decide the rest", lambda: (list(further_sentences(further)), what)),
             section("strips", "Strips", strips),
-            section("tests", "Every test", lambda: test_table(found)),
-            section("region", "Extrapolation", lambda: region_sentences(found)),
+            section("tests", "Every test", lambda: test_table(q)),
+            section("region", "Extrapolation", lambda: region_sentences(q)),
             section("counted", "What is counted", lambda: counted),
             section("rule", "The rule, and what of it was read", lambda: (read, fold(ORIGIN, Facts(tolerances)))),
             parts.provenance_section(source, folded=True),
@@ -272,10 +272,10 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
     )
 
 
-def _strip(strip: Strip, found: Qualification) -> Plot:
+def _strip(strip: Strip, q: Qualification) -> Plot:
     ahead, panels = strip.kind.name == "NEXT", []
     record = "record of the manoeuvre" if ahead else "record"
-    for output, (tolerance, _) in found.tolerances.items():
+    for output, (tolerance, _) in q.tolerances.items():
         unit, factor = for_people(STANDARD_CHANNELS[output].unit)
         lines = (
             Line("simulation", COLOURS["after"], factor * strip.simulated[output]),

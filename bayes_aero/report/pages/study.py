@@ -46,15 +46,15 @@ class StudyContext:
 
 def study_page(context: StudyContext) -> Report:
     """The page of a study, from its tables."""
-    found = estimates(context.units, context.results)
+    estimated = estimates(context.units, context.results)
     return Report(
         title=f"Study: {context.title}",
         subtitle=f"{len(context.units)} units, each a run of {context.task}",
         verdict=study_headline(context),
-        lead=[_lead(found, context.folder)],
+        lead=[_lead(estimated, context.folder)],
         sections=[
-            section("findings", "Findings over all units", lambda: _findings(context, found)),
-            section("across", "Scatter and intervals", lambda: _across(found)),
+            section("findings", "Findings over all units", lambda: _findings(context, estimated)),
+            section("across", "Scatter and intervals", lambda: _across(estimated)),
             section("units", "The units", lambda: _units(context.units, context.folder)),
             section("provenance", "Provenance", lambda: Facts(tuple(context.facts.items()))),
         ],
@@ -80,12 +80,12 @@ def study_headline(context: StudyContext) -> str:
     return f"{'; '.join(parts)}."
 
 
-def _beyond(found: list[AcrossUnits]) -> list[AcrossUnits]:
+def _beyond(estimated: list[AcrossUnits]) -> list[AcrossUnits]:
     """Estimates that scatter between units beyond their intervals, by their most trusted method."""
-    return [group[0] for _, group in panels_of(found) if group and group[0].scatter > MIN_RATIO * group[0].claimed]
+    return [group[0] for _, group in panels_of(estimated) if group and group[0].scatter > MIN_RATIO * group[0].claimed]
 
 
-def _findings(context: StudyContext, found: list[AcrossUnits]) -> list[str]:
+def _findings(context: StudyContext, estimated: list[AcrossUnits]) -> list[str]:
     _, causes, done = context.counted
     listed = several(f"{cause} {n}" for cause, n in causes.most_common())
     texts = [f"Causes, in how many units of {done}: {listed}."] if causes else []
@@ -93,15 +93,15 @@ def _findings(context: StudyContext, found: list[AcrossUnits]) -> list[str]:
     if len(doubtful):
         listed = "; ".join(f"{name}: {why}" for name, why in zip(doubtful["unit"], doubtful["doubts"], strict=True))
         texts.append(f"Records are in doubt in {len(doubtful)} of {done} units: {listed}.")
-    if beyond := [f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in _beyond(found)]:
+    if beyond := [f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in _beyond(estimated)]:
         texts.append(sentence("units_differ", estimates=beyond))
     return texts
 
 
-def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
+def _lead(estimated: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
     path = folder / "across.png"
     try:
-        save(across(found), path)
+        save(across(estimated), path)
     except NotDrawn:
         return ()
     return (
@@ -109,10 +109,10 @@ def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
     )
 
 
-def _across(found: list[AcrossUnits]) -> tuple[Any, ...]:
-    if not found:
+def _across(estimated: list[AcrossUnits]) -> tuple[Any, ...]:
+    if not estimated:
         return ()
-    column = columns_of(found[:MOST_ROWS])
+    column = columns_of(estimated[:MOST_ROWS])
     columns = [
         column(lambda e: e.label, page="parameter"),
         column(lambda e: e.method, page="method", words=True),
@@ -123,7 +123,7 @@ def _across(found: list[AcrossUnits]) -> tuple[Any, ...]:
         column(lambda e: e.claimed, page="standard error", form=2),
         column(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
     ]
-    left = len(found) - MOST_ROWS
+    left = len(estimated) - MOST_ROWS
     return table("across_units", columns), f"{left} more are in summary.csv." if left > 0 else ""
 
 
@@ -190,18 +190,18 @@ def estimates(units: pd.DataFrame, results: pd.DataFrame) -> list[AcrossUnits]:
     return every
 
 
-def panels_of(found: list[AcrossUnits]) -> Iterator[tuple[str, list[AcrossUnits]]]:
+def panels_of(estimated: list[AcrossUnits]) -> Iterator[tuple[str, list[AcrossUnits]]]:
     """Parameters with the methods that are drawn, the most trusted interval first."""
     order = list(METHODS)
-    for label in dict.fromkeys(e.label for e in found):
-        mine = [e for e in found if e.label == label and e.method in METHODS]
+    for label in dict.fromkeys(e.label for e in estimated):
+        mine = [e for e in estimated if e.label == label and e.method in METHODS]
         yield label, sorted(mine, key=lambda e: order.index(e.method))[:DRAWN]
 
 
 @housed
-def across(found: list[AcrossUnits]) -> Figure:
+def across(estimated: list[AcrossUnits]) -> Figure:
     """A panel for each parameter: estimate and 95 % interval of every unit, by its number."""
-    groups = [group for group in panels_of(found) if group[1]][:MOST_PANELS]
+    groups = [group for group in panels_of(estimated) if group[1]][:MOST_PANELS]
     if not groups:
         raise NotDrawn("no unit has an estimate")
     figure, axes = grid_of(len(groups), 3, (3.6, 2.3))
