@@ -25,9 +25,6 @@ from bayes_aero.errors import failure
 from bayes_aero.report.phrases import is_doubtful
 from bayes_aero.report.table import Table, cell_text
 
-ACROSS = 150  # characters in a row of a table from which paper is turned
-HALF = 56  # characters in a row that fit in half a sheet
-SHEET = 40  # lines of a table that surely fit on a sheet
 FOLDED = 25  # characters in a line of a column of text
 
 
@@ -73,19 +70,11 @@ class HtmlTable:
         words = tuple(new for new, i in enumerate(kept) if i in self.words)
         return replace(self, head=head, rows=tuple(rows), words=words)
 
-    def across(self, *, folded: bool = True) -> int:
+    def across(self) -> int:
         """Characters in a row, with room between columns; text can be folded."""
         columns = zip(*self.rows, strict=True) if self.rows else ()
         widths = [max(len(line) for cell in column for line in cell.split("\n")) for column in columns]
-        return sum(min(w, FOLDED) if folded and i in self.words else w for i, w in enumerate(widths)) + 2 * len(widths)
-
-    @property
-    def on_paper(self) -> str:
-        """`broad`: it needs a landscape sheet; `slim`: another table fits beside it."""
-        if self.across() > ACROSS:
-            return " broad"
-        lines = sum(max(cell.count("\n") + 1 for cell in row) for row in self.rows)
-        return " slim" if self.across(folded=False) <= HALF and lines <= SHEET else ""
+        return sum(2 + min(w, FOLDED) if i in self.words else 2 + w for i, w in enumerate(widths))
 
 
 @dataclass(frozen=True)
