@@ -39,7 +39,7 @@ def blocks_of(page, key):
 
 
 def test_every_part_is_made_and_nothing_else():
-    page = fly_page(flight().flown, context())
+    page = fly_page(flight().flown, context(motion=None))
     assert not [b for s in page.sections for b in s.blocks if "was not made" in getattr(b, "text", "")]
     assert [s.key for s in page.sections] == ["findings", "records", "fit", "errors", "parameters", "provenance"]
     assert page.verdict == "The fit converged."
