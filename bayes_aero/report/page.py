@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup, escape
@@ -28,8 +28,7 @@ from bayes_aero.report.table import Table, cell_text
 FOLDED = 25  # characters in a line of a column of text
 
 
-@dataclass(frozen=True)
-class Text:
+class Text(NamedTuple):
     """A paragraph; `tone` is plain, lead or warning."""
 
     text: str
@@ -37,15 +36,13 @@ class Text:
     failure: str = ""  # in place of a part that could not be made: the reason
 
 
-@dataclass(frozen=True)
-class Points:
+class Points(NamedTuple):
     """Sentences, one a bullet."""
 
     items: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Facts:
+class Facts(NamedTuple):
     """Name and value, one a line."""
 
     items: tuple[tuple[str, str], ...]
@@ -77,8 +74,7 @@ class HtmlTable:
         return sum(2 + min(w, FOLDED) if i in self.words else 2 + w for i, w in enumerate(widths))
 
 
-@dataclass(frozen=True)
-class Picture:
+class Picture(NamedTuple):
     """A static figure."""
 
     source: str  # a data URI
@@ -88,8 +84,7 @@ class Picture:
     natural: int  # its width on a screen at which its text has nominal size
 
 
-@dataclass(frozen=True)
-class Plot:
+class Plot(NamedTuple):
     """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style), and what it shows."""
 
     item: Mapping[str, Any]
@@ -99,8 +94,7 @@ class Plot:
     title: str = ""
 
 
-@dataclass(frozen=True)
-class Fold:
+class Fold(NamedTuple):
     """Blocks behind a line that opens them."""
 
     title: str
@@ -110,8 +104,7 @@ class Fold:
 Block = Text | Points | Facts | HtmlTable | Picture | Plot | Fold
 
 
-@dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """A heading with its blocks; `key` is its anchor."""
 
     key: str

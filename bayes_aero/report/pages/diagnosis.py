@@ -341,6 +341,8 @@ def causes_table(d: Diagnosis) -> Table:
         files, head = (f"{n}_{kind}_before", f"{n}_{kind}_after"), f"R² {n}" if kind == "r2" and n in shown else None
         scores.append(column(lambda c, n=n, kind=kind: change(c, n, kind), files, None, head, ".2f"))
     if_removed = "hold-out data\nif removed" if any(np.isfinite(c.missed[0]) for c in d.causes) else None
+    removed = [f"{-c.missed[0]:+z.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE for c in d.causes]
+    removed = [text if c.confirmed else f"{text} *" for text, c in zip(removed, d.causes, strict=True)]
     rivals = "rivals", None if d.by_coefficients else "rivals"
     columns = [
         Column(range(1, len(d.causes) + 1), "order"),
@@ -359,7 +361,7 @@ def causes_table(d: Diagnosis) -> Table:
         column(lambda c: " ".join(c.ambiguous_with), "ambiguous_with"),
         column(lambda c: (c.gain.elpd, c.gain.elpd_se), ("elpd", "elpd_se")),
         column(lambda c: Estimate(-c.missed[0], c.missed[1]), ("taken_out_elpd", "taken_out_elpd_se")),
-        column(lambda c: c, page=if_removed, form=_if_removed),
+        Column(removed, page=if_removed),
         column(lambda c: several(c.ambiguous_with), "", *rivals, or_dash, str),
         *scores,
     ]
@@ -384,11 +386,6 @@ def _interval(s: Any) -> str:
 def probability(value: float) -> str:
     """Two digits, never rounded to certainty."""
     return "> 0.99" if value > 0.99 else f"{value:.2f}"
-
-
-def _if_removed(c: Cause) -> str:
-    text = f"{-c.missed[0]:+z.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE
-    return text if c.confirmed else f"{text} *"
 
 
 def changes_table(d: Diagnosis) -> Table:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -203,7 +202,7 @@ def trajectories(flown: Trajectories, card: Card) -> list[Any]:
             time, what = next(iter(paths.values())).time, f"{about}: measured and simulated outputs"
             plot = parts.histories(name, f"time-{split}-{order}", time, output_panels(paths, units), what)
             title = f"{name}, {SPLIT_NAMES[split]}"
-            plots[split].append(replace(plot, caption=f"{about}. {plot.caption}", title=title))
+            plots[split].append(plot._replace(caption=f"{about}. {plot.caption}", title=title))
     return [
         f"{WORDS['paragraphs']['trajectories']} {origin}",
         hold_out_table(flown),
