@@ -73,7 +73,7 @@ def print_report(console: Console, report: CheckReport) -> None:
     doubt, told = report.consistency.disagrees, text.sensor_sentences(report)
     for caution in (*report.cautions, *told[:doubt]):
         console.print(f"! {caution}", style="yellow")
-    for r in report.records:
+    for r, unused in zip(report.records, text.unused_columns(report), strict=True):
         console.print(r.path, style="bold", end="", soft_wrap=True)
         console.print(f": {sampling(r)}", soft_wrap=True)
         if r.gaps or r.uneven:
@@ -81,8 +81,8 @@ def print_report(console: Console, report: CheckReport) -> None:
         console.print(channel_table(r).terminal())
         if r.missing:
             console.print(f"on the card, not in the file (not required): {', '.join(r.missing)}")
-        if r.unused:
-            console.print(f"in the file, not on the card: {', '.join(r.unused)}")
+        if unused:
+            console.print(f"in the file, not on the card: {', '.join(unused)}")
         for sentence in (*r.remarks, *text.part_sentences(r)):
             console.print(sentence, soft_wrap=True)
         for problem in r.problems:

@@ -67,6 +67,12 @@ def part_sentences(record: RecordReport) -> list[str]:
     return [*sentences, sentence("give_parts")] if sentences else []
 
 
+def unused_columns(report: CheckReport) -> list[tuple[str, ...]]:
+    """Columns of each record that the card does not map; of records with the same ones, at the first of them."""
+    seen: set[tuple[str, ...]] = set()
+    return [() if r.unused in seen or seen.add(r.unused) else r.unused for r in report.records]
+
+
 def card_sentences(report: CheckReport) -> list[str]:
     """Channels that the card adds to the files."""
     card, units = report.card, {"thrust": "N"} | {name: c.unit for name, c in STANDARD_CHANNELS.items()}
@@ -160,8 +166,8 @@ def recorded(records: Sequence[FlightRecord]) -> tuple[Plot | str, ...]:
         known = {n: for_people(STANDARD_CHANNELS[n].unit) for n in CHANNELS if record.has(n)}
         panels = [_panel(symbol(n), unit, factor * record[n]) for n, (unit, factor) in known.items()]
         if panels:
-            key, legend = f"time-recorded-{order}", (("recorded", COLOURS["measured"], "solid"),)
-            plots.append(parts.histories(record.name, key, record.time, panels, legend, "Recorded channels"))
+            what = "Recorded channels"
+            plots.append(parts.histories(record.name, f"time-recorded-{order}", record.time, panels, what))
     return (*plots, remark)
 
 
@@ -183,9 +189,9 @@ def _sensors(report: CheckReport) -> tuple[Any, ...]:
 
 def _channels(report: CheckReport) -> list[Any]:
     tables = []
-    for r in report.records:
+    for r, columns in zip(report.records, unused_columns(report), strict=True):
         remarks = [f"On the card, not in the file (not required): {', '.join(r.missing)}."] if r.missing else []
-        remarks += [f"In the file, not on the card: {', '.join(r.unused)}."] if r.unused else []
+        remarks += [f"In the file, not on the card: {', '.join(columns)}."] if columns else []
         tables.append(fold(r.path, page_table(channel_table(r)).lean(), [*remarks, *r.remarks]))
     return [*tables, card_sentences(report)]
 
@@ -260,8 +266,7 @@ def _drawn(view: StarterView, key: str, title: str, said: str, panels: Sequence[
     longest = max((len(p.lines[0].values) for p in panels), default=0)
     x, over = (np.asarray(time), TIME) if known else (np.arange(longest, dtype=float), SAMPLE)
     shown = [p for p in panels if len(p.lines[0].values) == len(x) > 1][:MOST_PANELS]
-    legend = ((said, COLOURS["measured"], "solid"),)
-    return parts.histories(view.record, key, x, shown, legend, title, over) if shown else None
+    return parts.histories(view.record, key, x, shown, f"{title}, {said},", over) if shown else None
 
 
 def _guesses(taken: Sequence[Taken]) -> tuple[Any, ...]:
