@@ -78,7 +78,7 @@ class Panel:
         return f"{self.name} {bracket(self.unit)}"
 
 
-def measured_panel(channel: str, values: np.ndarray, **look: int) -> Panel:
+def measured_panel(channel: str, values: np.ndarray, **look: Any) -> Panel:
     """A recorded channel (SI) by itself."""
     name, unit, factor = channel_axis(channel)
     return Panel(name, unit, (Line("measured", COLOURS["measured"], factor * values),), **look)

@@ -322,8 +322,9 @@ def prior_posterior(identification: Identification) -> Figure:
     names = ordered(first.names, identification.model.free)
     figure, axes = style.grid_of(len(names), 4, (3.6, 2.15))
     for number, (ax, name) in enumerate(zip(axes, names, strict=True)):
-        draws = {label: (k, p.tree["posterior"][name].values) for label, (k, p) in shown.items() if name in p.marginals}
-        ratio = _densities(ax, first.tree["prior"][name].values, draws, log=False)
+        having = {label: (key, p.tree["posterior"]) for label, (key, p) in shown.items() if name in p.marginals}
+        draws = {label: (key, np.asarray(tree[name])) for label, (key, tree) in having.items()}
+        ratio = _densities(ax, np.asarray(first.tree["prior"][name]), draws, log=False)
         ax.set_title(f"prior sd = {ratio:.{0 if ratio >= 10.0 else 1}f} × posterior sd", fontsize=8.0, color="#333333")
         ax.set_xlabel(f"{name} {bracket(unit_of(identification, name))}", labelpad=1)
         if number % 4 == 0:
@@ -489,7 +490,7 @@ def _stall(models: Sequence[StallModel], manoeuvre: np.ndarray, seconds: float) 
     return figure
 
 
-def _separation(models: Sequence[StallModel], *_: Any) -> Figure:
+def _separation(models: Sequence[StallModel], *unused: Any) -> Figure:
     """The separation point over the angle of attack at three rates of it; a panel for each model."""
     figure, axes = style.panels(1, len(models), (6.2 * len(models) if len(models) > 1 else 7.5, 4.2), sharey=True)
     for ax, (title, _, flown, s) in zip(axes[0], models, strict=True):

@@ -94,12 +94,12 @@ def _alone_columns(run: Identification, names: Sequence[str]) -> list[Column]:
 
 def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
     """Scores of GPR and maximum likelihood on the same test points by split, fold (and all folds) and coefficient."""
-    rows = []
-    for split, folds in (run.gp.splits if run.gp else {}).items():
+    rows, gp = [], run.gp
+    for split, folds in () if gp is None else gp.splits.items():
         for name in run.observations.coefficients:
             if each_fold and len(folds) > 1:
                 rows += [(split, str(k), name, fold[name]) for k, fold in enumerate(folds, start=1)]
-            rows.append((split, "all", name, run.gp.pooled(split, name)))
+            rows.append((split, "all", name, gp.pooled(split, name)))
     column = columns_of([row[-1] for row in rows])
     ml, gpr = {"group": "maximum likelihood"}, {"group": "GPR"}
     columns = [

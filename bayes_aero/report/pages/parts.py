@@ -128,8 +128,9 @@ def doubts(
     corrects: bool = False,
 ) -> list[Block]:
     """First part of a page: failed parts of the job, disagreement of the sensors, and faulty channels."""
-    disagree = sensors is not None and sensors.agreement is not Agreement.AGREE
-    answer = consistency_sentences(sensors, corrects=corrects)[:1] if disagree else []
+    answer = []
+    if sensors is not None and sensors.agreement is not Agreement.AGREE:
+        answer = consistency_sentences(sensors, corrects=corrects)[:1]
     faults = (f"{finding.sentence}." for finding in health if finding.grave)
     return [*warnings(failures), *blocks(*answer), *warnings(faults)]
 

@@ -166,7 +166,7 @@ class AcrossUnits(NamedTuple):
     label: str
     method: str
     si: str
-    rows: pd.DataFrame
+    rows: Any  # a data frame
 
     @property
     def scatter(self) -> float:
@@ -186,7 +186,7 @@ def estimates(units: pd.DataFrame, results: pd.DataFrame) -> list[AcrossUnits]:
         cause, parameter, method = map(str, key)  # type: ignore[call-overload]
         label, si = f"{cause}: {parameter}" if cause else parameter, str(part["unit_of_value"].iloc[0])
         numbers = part[["value", "low95", "high95", "sd"]].astype(float)
-        every.append(AcrossUnits(label, method, si, numbers.assign(number=part["unit"].map(number))))
+        every.append(AcrossUnits(label, method, si, numbers.assign(number=[number[name] for name in part["unit"]])))
     return every
 
 
@@ -213,7 +213,9 @@ def across(estimated: list[AcrossUnits]) -> Figure:
             (name, colour), value = METHODS[e.method], factor * e.rows["value"]
             ends = np.abs([value - factor * e.rows["low95"], factor * e.rows["high95"] - value])
             x, ends = e.rows["number"] + (k - 0.5 * (len(group) - 1)) * 0.25, np.where(np.isfinite(ends), ends, 0.0)
-            look = {"ms": 3.5, "elinewidth": 1.1} if last <= MOST_BARS else {"ms": 2.0, "elinewidth": 0.4}
+            look: dict[str, Any] = (
+                {"ms": 3.5, "elinewidth": 1.1} if last <= MOST_BARS else {"ms": 2.0, "elinewidth": 0.4}
+            )
             labels.setdefault(name, ax.errorbar(x, value, ends, fmt="os"[k], color=COLOURS[colour], **look))
         ax.set(title=label, xlim=(0.4, last + 0.6), ylabel=bracket(unit), xlabel="unit")
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
