@@ -490,10 +490,10 @@ def _stall(models: Sequence[StallModel], manoeuvre: np.ndarray, seconds: float) 
     return figure
 
 
-def _separation(models: Sequence[StallModel], *unused: Any) -> Figure:
+def _separation(models: Sequence[StallModel], *_: Any) -> Figure:
     """The separation point over the angle of attack at three rates of it; a panel for each model."""
     figure, axes = style.panels(1, len(models), (6.2 * len(models) if len(models) > 1 else 7.5, 4.2), sharey=True)
-    for ax, (title, _, flown, s) in zip(axes[0], models, strict=True):
+    for ax, (title, _colour, flown, s) in zip(axes[0], models, strict=True):
         degrees, alpha = np.rad2deg(s.alpha), np.rad2deg(np.asarray(flown["alpha"]))
         for rate, band, key in zip(s.rates, s.X, RATE_COLOURS, strict=True):
             ax.fill_between(degrees, band[0], band[2], color=COLOURS[key], **BAND)
