@@ -171,7 +171,7 @@ def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):
         assert [share["level"] for share in predicted["shares"]] == [0.5, 0.9, 0.95, 0.99]
     assert any("inside their 95 % intervals: α " in sentence for sentence in found["sentences"])
     page = page_of(tmp_path / "out")
-    holds(page, "with process noise", "inside the interval, %", "Quantile plots of innovations by output: ")
+    holds(page, "with process noise", "inside the interval, %")
 
 
 @pytest.mark.recovery
