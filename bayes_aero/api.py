@@ -49,9 +49,15 @@ from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import observe
 from bayes_aero.model.records import Forming, on_recorded_axes
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
-from bayes_aero.report.pages.diagnosis import causes_table, changes_table, scores_frame, screen_table, terms_table
+from bayes_aero.report.pages.diagnosis import (
+    causes_table,
+    changes_table,
+    scores_frame,
+    screen_table,
+    sentences,
+    terms_table,
+)
 from bayes_aero.report.pages.estimates import verdict
-from bayes_aero.report.pages.findings import sentences
 from bayes_aero.report.pages.identification import next_flight_table, parameter_table, validation_table
 from bayes_aero.report.pages.parts import consistency_sentences
 from bayes_aero.report.style import NotDrawn

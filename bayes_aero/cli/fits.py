@@ -103,10 +103,9 @@ def diagnose(
     with terminal.loading():
         from bayes_aero.jobs.catalogue import refuse_existing, write_effects
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
-        from bayes_aero.report.pages.diagnosis import causes_table, screen_table
-        from bayes_aero.report.pages.findings import in_band_sentences, revealed, sentences
+        from bayes_aero.report.pages.diagnosis import causes_table, in_band_sentences, revealed, screen_table, sentences
         from bayes_aero.report.pages.qualification import points_sentences
-        from bayes_aero.report.pages.trajectories import hold_out_error_table
+        from bayes_aero.report.pages.trajectories import hold_out_table
 
     if write_effect is not None:
         refuse_existing(write_effect)
@@ -127,7 +126,7 @@ def diagnose(
             first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
             console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
         if found.view.trajectories is not None:
-            console.print(hold_out_error_table(found.view.trajectories).terminal())
+            console.print(hold_out_table(found.view.trajectories, brief=True).terminal())
         more = (*in_band_sentences(found.in_band), *points_sentences(found.test_points))
         terminal.print_lines(console, (*rest, *more), found.notes)
         for sentence in revealed(found.hidden, found.named) if found.hidden is not None else ():
@@ -211,9 +210,9 @@ def print_fit(console: Console, found: Flight, out: Path) -> None:
     from bayes_aero.report.pages import trajectories
 
     flown, beside = found.flown, found.process_noise
-    tables = [of_fit.parameter_table(flown), *([of_fit.beside_table(flown)] if flown.frequency else [])]
+    tables = [of_fit.parameter_table(flown)]
     if beside is not None and beside.converged:
-        tables.append(trajectories.process_noise_table(beside, flown, found.posteriors))
+        tables.append(trajectories.process_noise_table(beside, flown))
         tables += [] if beside.one_step is None else [trajectories.one_step_table(beside.one_step, flown.units)]
     tables += [trajectories.posterior_table(found.posteriors)] if found.posteriors else []
     tables.append(of_fit.error_table(flown))

@@ -394,7 +394,7 @@ def stand_ins(
     """Causes that the record hardly excites, where the output that they move most has structure without a name."""
     # Small errors of the model change their estimates strongly, and there the model is shown to be wrong.
     left = {u.coefficient for u in unknown}
-    return tuple(c.name for c in causes if c.own_share < result.LITTLE and _output(extensions[c.stage], c.name) in left)
+    return tuple(c.name for c in causes if c.hardly_excited and _output(extensions[c.stage], c.name) in left)
 
 
 def _output(extension: selection.Extension, name: str, step: CandidateScore | None = None) -> str:

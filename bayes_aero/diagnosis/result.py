@@ -81,6 +81,11 @@ class Cause:
         return self.probability > LIKELY
 
     @property
+    def hardly_excited(self) -> bool:
+        """Whether other free parameters reproduce nearly all of what it does."""
+        return self.own_share < LITTLE
+
+    @property
     def sure(self) -> bool:
         """Whether the verdict may rest on it: confirmed, likelier than not, and of a size that aircraft have."""
         return self.confirmed and self.likely and not self.bounded and not self.implausible
@@ -541,6 +546,11 @@ class ProcessNoise:
     def preferred(self) -> bool:
         """Whether it describes the record better than output error does."""
         return self.converged and self.gain > 0.0
+
+    @property
+    def coloured(self) -> tuple[str, ...]:
+        """Outputs with neighbouring innovations that are correlated: something is not modelled."""
+        return tuple(name for name, r in self.autocorrelation.items() if abs(r) > COLOURED_INNOVATIONS)
 
 
 # --- Modes of motion of a fitted model.

@@ -37,9 +37,8 @@ from bayes_aero.explore.opened import DRAWS, Choice, Flown, Simulator, export_ch
 from bayes_aero.flight.card import channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.jobs.finished import FORMS
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.plots import FARTHEST, Line, extremes, scale
 from bayes_aero.report.phrases import axis_label, bracket, for_people
+from bayes_aero.report.plots import COLOURS, FARTHEST, Line, extremes, scale
 
 Parts = Mapping[str, np.ndarray]
 

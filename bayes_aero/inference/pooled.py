@@ -49,7 +49,7 @@ class Hierarchy(LogDensity):
     """Density of the scatter of k parameters between m manoeuvres; `x` are its standard deviations."""
 
     scattering: tuple[Parameter, ...] = eqx.field(static=True)
-    noise_label = "normal approximation"  # pyright: ignore[reportAssignmentType]
+    label_of = "normal approximation"  # pyright: ignore[reportAssignmentType]
     estimate: Float[Array, "m k"]
     factor: Float[Array, "m k k"]  # F of each information matrix F F'
 

@@ -340,7 +340,7 @@ class InnovationsDensity(LogDensity):
     # noise by output; SI.
     process: tuple[float, ...] = eqx.field(static=True)
     measurement: tuple[float, ...] = eqx.field(static=True)
-    noise_label = "white, of states and measurements"  # pyright: ignore[reportAssignmentType]
+    label_of = "white, of states and measurements"  # pyright: ignore[reportAssignmentType]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

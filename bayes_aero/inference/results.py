@@ -445,6 +445,21 @@ class GPReport:
     seconds: float
     left_out: tuple[str, ...] = ()  # which splits the records do not allow, and why
 
+    def pooled(self, split: str, name: str) -> Validation:
+        """A coefficient at the test points of all folds: scores of all, coverage by points, the largest `k_hat`."""
+        folds = [fold[name] for fold in self.splits[split]]
+        keys = ("test", "measured", "gp", "gp_low", "gp_high", "mle")
+        every = {key: np.concatenate([getattr(v, key) for v in folds]) for key in keys}
+        by = {level: [v.coverage[level] for v in folds] for level in folds[0].coverage}
+        return Validation(
+            **every,
+            gp_scores=score(every["measured"], every["gp"]),
+            mle_scores=score(every["measured"], every["mle"]),
+            coverage={x: float(np.average(by[x], weights=[len(v.measured) for v in folds])) for x in by},
+            k_hat=max((v.k_hat for v in folds if v.k_hat is not None), default=None),
+            status="; ".join(dict.fromkeys(v.status for v in folds)),
+        )
+
 
 @dataclass(frozen=True)
 class Interval:

@@ -423,14 +423,14 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
         groups["observed_data"] = {name: measured[:, i] for i, name in enumerate(outputs)}
         dims = {name: ["instant"] for name in outputs}
     tree = azb.from_dict(groups, dims=dims)
-    tree.attrs |= {"engine": drawn.engine, "noise": density.noise_label, "seed": seed}
+    tree.attrs |= {"engine": drawn.engine, "noise": density.label_of, "seed": seed}
     for parameter in density.parameters:
         for group in ("posterior", "prior"):
             tree[group][parameter.name].attrs["units"] = parameter.unit
     marginals = drawn.marginals or diagnose(draws, names)
     status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
     status = PosteriorStatus.DIVERGENT if drawn.divergent else status
-    return Posterior(drawn.engine, density.noise_label, names, tree, marginals, status, seconds)
+    return Posterior(drawn.engine, density.label_of, names, tree, marginals, status, seconds)
 
 
 # --- The posterior by NumPyro's NUTS: the independent check on the one density.

@@ -20,7 +20,7 @@ from bayes_aero.flight.record import parts_of
 from bayes_aero.jobs.column_inference import Guess, guessed
 from bayes_aero.jobs.store import picked, provenance, sha256_of
 from bayes_aero.physics.aircraft import AIRCRAFT_KEYS, FORMED_FROM, REQUIRED, Axis
-from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
 from bayes_aero.units import canonical, from_si
 

@@ -81,8 +81,8 @@ def write_effects_page(
     found: Sequence[Mapping[str, Any]], schema: str, card: Card | None, out: Path
 ) -> tuple[str, ...]:
     """Write effects.json, report.html and its picture into `out`; a sentence on what of the page cannot be made."""
-    from bayes_aero.report.figures.prior import channels_needed
-    from bayes_aero.report.html.page import Gallery, Report, put_page
+    from bayes_aero.report.figures.posterior import channels_needed
+    from bayes_aero.report.page import Gallery, Report, put_page
     from bayes_aero.report.pages.check import effects_page, picture_words
     from bayes_aero.report.style import save
 
@@ -201,7 +201,7 @@ def simulate_file(
     """
     from bayes_aero.flight.reading import read_record
     from bayes_aero.flight.record import WRITERS, write_record
-    from bayes_aero.report.html.page import put_page
+    from bayes_aero.report.page import put_page
     from bayes_aero.report.pages.check import simulated_page
     from bayes_aero.simulate.injection import synthetic
 

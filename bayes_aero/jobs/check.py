@@ -222,7 +222,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
 
 def write_check(report: CheckReport, out: Path, seed: int = 0) -> tuple[str, ...]:
     """Write check.json and report.html into `out`; a sentence on what of the page cannot be made."""
-    from bayes_aero.report.html.page import put_page  # heavy, and most checks write nothing
+    from bayes_aero.report.page import put_page  # heavy, and most checks write nothing
     from bayes_aero.report.pages.check import check_page
 
     writable(out)

@@ -46,16 +46,15 @@ from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES, ViewFigures, draw_all
-from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.pages.diagnosis import (
-    DiagnosisContext,
     causes_table,
     changes_table,
     diagnosis_page,
     screen_table,
     terms_table,
 )
-from bayes_aero.report.pages.findings import revealed
+from bayes_aero.report.pages.parts import PageContext
 from bayes_aero.report.pages.qualification import points_table
 from bayes_aero.report.table import write_csv
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
@@ -213,12 +212,8 @@ class ResultStore(Growing[Outcome]):
 
     def put_page(self, drawn: Mapping[str, Path]) -> None:
         """report.html with the figures `drawn`; a note says why if there is none."""
-        o = self.result
-        names = ("test_points", "in_band", "notes", "consistency", "failures", "health")
-        about: dict[str, Any] = {name: getattr(o, name) for name in names}
-        about["revealed"] = revealed(o.hidden, o.named) if o.hidden else ()
-        told = DiagnosisContext(self.card, self.records, self.source, drawn, **about)
-        self.fail(() if self.out is None else put_page(lambda: diagnosis_page(o.view, told), self.out))
+        context = PageContext(self.card, self.records, self.source, drawn, self.result)
+        self.fail(() if self.out is None else put_page(lambda: diagnosis_page(self.result.view, context), self.out))
 
 
 # --- What follows a diagnosis while trajectories are flown: test points, sizes in a band, stalls, scores, figures.

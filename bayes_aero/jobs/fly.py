@@ -51,14 +51,14 @@ from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.physics.kinematics import PATH_CORE
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
-from bayes_aero.report.figures.frequency import FREQUENCY_FIGURES
-from bayes_aero.report.figures.posterior import one_step_quantiles, pair_of
+from bayes_aero.report.figures.posterior import pair_of
 from bayes_aero.report.figures.time_histories import fly_figures, gusts
-from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.pages import fly as text
 from bayes_aero.report.pages import trajectories
 from bayes_aero.report.pages.estimates import frequency_sentences, posterior_sentences
-from bayes_aero.report.pages.fly import FlyContext, fly_page, motion_sentences, parameter_table
+from bayes_aero.report.pages.fly import fly_page, motion_sentences, parameter_table
+from bayes_aero.report.pages.parts import PageContext
 from bayes_aero.report.pages.trajectories import gust_table, posterior_table
 from bayes_aero.report.phrases import several
 from bayes_aero.report.style import MOST_MANOEUVRES
@@ -67,7 +67,7 @@ from bayes_aero.residuals.equation_error import lines_in
 
 UNFILTERED = "Process noise was not fitted, because output error did not converge."
 Sampling = Callable[[str], dict[str, Posterior]]  # draws by the name of the sampler
-DISTURBED = {"gusts": gusts, "one_step": one_step_quantiles}
+DISTURBED = {"gusts": gusts}
 
 
 @keywords(FlyOptions)
@@ -190,7 +190,7 @@ class FlightStore(Growing[Flight]):
         failed = put_histories(lambda: flights(together, found.flown.units), out)
         drawn: list[Path] = []
         if figures:
-            every: list[tuple[Any, Any]] = [(fly_figures(found.flown) | FREQUENCY_FIGURES, found.flown)]
+            every: list[tuple[Any, Any]] = [(fly_figures(found.flown), found.flown)]
             every += [] if found.process_noise is None else [(DISTURBED, found.process_noise)]
             every += [({"pair": pair_of}, found.posteriors)] if found.posteriors else []
             for number, (drawings, shown) in enumerate(every):
@@ -200,10 +200,8 @@ class FlightStore(Growing[Flight]):
         self.keep([f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else (), failed)
         if progress:
             progress("report", 0.95)
-        names = ("sentences", "notes", "consistency", "failures", "health", "process_noise", "posteriors", "motion")
-        told: dict[str, Any] = {name: getattr(self.result, name) for name in names}
         pictures = {path.stem: path for path in drawn}
-        context = FlyContext(self.card, self.records, self.source, figures=pictures, **told)
+        context = PageContext(self.card, self.records, self.source, pictures, self.result)
         if failed := put_page(lambda: fly_page(found.flown, context), out):
             self.keep((), failed)
 

@@ -39,7 +39,7 @@ from bayes_aero.model.records import Forming, on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import FIGURES, draw_all
-from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.pages.estimates import frequency_sentences, leaning_sentences, verdict
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES

@@ -44,7 +44,7 @@ from bayes_aero.qualification.qualify import (
     next_parameters,
     qualify,
 )
-from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.pages.qualification import qualification_page, test_table
 from bayes_aero.report.phrases import several
 from bayes_aero.report.table import write_csv

@@ -109,7 +109,7 @@ class LogDensity(eqx.Module):
 
     @property
     @abstractmethod
-    def noise_label(self) -> str:
+    def label_of(self) -> str:
         """The assumed noise, in a word."""
 
     @abstractmethod
@@ -182,7 +182,7 @@ class Density(LogDensity):
         return (*self.model.free, *self.noise.parameters)
 
     @property
-    def noise_label(self) -> str:
+    def label_of(self) -> str:
         return self.noise.colour.value
 
     def values(self, x: Float[Array, " k"]) -> dict[str, Any]:

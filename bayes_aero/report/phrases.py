@@ -18,30 +18,19 @@ from bayes_aero.units import number
 WORDS: dict[str, Any] = tomllib.loads(files("bayes_aero.report").joinpath("words.toml").read_text("utf-8"))
 """What reports say: captions, terms, notes, and the `sentences` and `messages` that values are put into."""
 
-GREEK = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h", "beta": "β", "phi": "φ", "psi": "ψ"}
-
 SYMBOLS = {
-    "alpha": "α", "theta": "θ", "beta": "β", "elevator": "δe", "aileron": "δa", "rudder": "δr",
-    "airspeed": "V", "altitude": "h", "mach": "Mach", "thrust": "T",
+    "alpha": "α", "theta": "θ", "beta": "β", "phi": "φ", "psi": "ψ", "elevator": "δe", "aileron": "δa", "rudder": "δr",
+    "airspeed": "V", "altitude": "h", "mach": "Mach", "thrust": "T", "alpha_dot": "α̇", "X": "separation point X",
+    "elapsed": "time from start of record",
 }  # fmt: skip
-"""Of channels, on an axis; `GREEK` are those of outputs."""
+UNITS = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
+UNITS |= {"X": "1", "elapsed": "s", "alpha_dot": "rad/s"}  # what else is on an axis
 
+DEGREES = 180.0 / np.pi
 FOR_PEOPLE = {
-    "rad": ("deg", 180.0 / np.pi),
-    "rad/s": ("deg/s", 180.0 / np.pi),
-    "m/s^2": ("m/s²", 1.0),
-    "rad/s^2": ("deg/s²", 180.0 / np.pi),
-    "1/rad^2": ("1/rad²", 1.0),
-    "kg/m^3": ("kg/m³", 1.0),
-}
-
-KINDS = {
-    Untestable.NOT_RECORDED: "because a channel was not recorded ({})",
-    Untestable.STILL: "because a channel does not move ({})",
-    Untestable.NOISE_ALONE: "because a channel shows nothing but noise ({})",
-    Untestable.LACKING: "because the model lacks a parameter ({})",
-}
-"""The words under which effects that are not testable are counted, by the reason."""
+    "rad": ("deg", DEGREES), "rad/s": ("deg/s", DEGREES), "rad/s^2": ("deg/s²", DEGREES), "m/s^2": ("m/s²", 1.0),
+    "1/rad^2": ("1/rad²", 1.0), "kg/m^3": ("kg/m³", 1.0),
+}  # fmt: skip
 
 
 class _Filled(Formatter):
@@ -111,8 +100,8 @@ def bracket(unit: str) -> str:
 
 
 def symbol(output: str) -> str:
-    """An output as people read it: V for airspeed."""
-    return GREEK.get(output, output)
+    """A channel as people read it: V for airspeed."""
+    return SYMBOLS.get(output, output)
 
 
 def amounts(unit: str, *values: float) -> tuple[str, ...]:
@@ -183,8 +172,7 @@ def axis_label(output: str, unit: str) -> str:
 
 def channel_axis(channel: str) -> tuple[str, str, float]:
     """A channel's symbol, the unit in which people read it, and the factor to that from SI."""
-    unit, factor = for_people(STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else "N")
-    return SYMBOLS.get(channel, channel), unit, factor
+    return symbol(channel).replace("_", " "), *for_people(UNITS.get(channel, "N"))
 
 
 def short(x: float) -> str:
@@ -196,14 +184,10 @@ def short(x: float) -> str:
 
 def not_testable_sentences(reasons: Mapping[str, str]) -> list[str]:
     """How many effects are not testable, by kind of reason (`reasons` by effect); nothing where all are."""
-    if not reasons:
-        return []
     kinds: dict[str, tuple[int, set[str]]] = {}  # count, and the channels or parameters that are named
     for reason in reasons.values():
-        kind, things = f"because {reason}".replace("{", "{{").replace("}", "}}"), ()
-        if isinstance(reason, Untestable) and reason.text in KINDS:
-            kind, things = KINDS[reason.text], reason.names
-        count, named = kinds.get(kind, (0, set()))
-        kinds[kind] = count + 1, named | set(things)
-    listed = [f"{n} {kind.format(several(sorted(named)))}" for kind, (n, named) in kinds.items()]
-    return [sentence("not_testable", n=len(reasons), listed="; ".join(listed))]
+        text, names = (reason.text, reason.names) if isinstance(reason, Untestable) else (reason, ())
+        count, named = kinds.get(text, (0, set()))
+        kinds[text] = count + 1, named | set(names)
+    listed = [f"{n} because {k.format(several(sorted(names))) if names else k}" for k, (n, names) in kinds.items()]
+    return [sentence("not_testable", n=len(reasons), listed="; ".join(listed))] if reasons else []

@@ -20,7 +20,7 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import LayoutEngine
-from matplotlib.ticker import FormatStrFormatter, FuncFormatter, LogFormatter, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import LogFormatter, NullFormatter
 from matplotlib.transforms import Bbox
 from PIL import Image
 
@@ -33,7 +33,6 @@ DPI = 150
 COLOURS = 128  # of a file's palette: lines and text need few, and are packed in half the time
 TICKS = 5  # intervals along an axis
 PAD = 0.06  # inches between the parts of a figure
-RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 RC: dict[str, Any] = {
     "font.size": 9.0, "axes.titlesize": 10.0, "axes.labelsize": 9.0, "legend.fontsize": 9.0, "figure.titlesize": 12.0,
@@ -72,22 +71,12 @@ def housed(draw: Callable[[Shown], Figure]) -> Callable[[Shown], Figure]:
             figure = draw(shown)
             for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
                 if isinstance(axis.get_major_formatter(), LogFormatter):
-                    _label_powers(axis)
+                    low, high = axis.get_view_interval()
+                    axis.set_major_formatter("{x:g}")  # plain text, as `text.parse_math` is off
+                    axis.set_minor_formatter("{x:g}" if high < 10.0 * low else NullFormatter())
         return figure
 
     return styled
-
-
-def _label_powers(axis: Axis) -> None:
-    """Powers of ten of a log axis in plain text; plain numbers over less than a decade, where powers are too few."""
-    low, high = axis.get_view_interval()
-    if high < 10.0 * low:
-        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-        axis.set_major_formatter(FormatStrFormatter("%.3g"))
-        axis.set_minor_locator(NullLocator())
-    else:
-        axis.set_major_formatter(FuncFormatter(lambda x, _: "10" + f"{np.log10(x):.0f}".translate(RAISED)))
-        axis.set_minor_formatter(NullFormatter())
 
 
 class MeasuredOnce(LayoutEngine):
@@ -166,12 +155,14 @@ def grid_of(count: int, columns: int, cell: tuple[float, float], **options: Any)
     return figure, flat[:count]
 
 
-def name_panels(axes: np.ndarray, heads: Iterable[str] = (), below: str = "time from start of record [s]") -> None:
-    """Heads above the columns of a grid of panels, the axis below it."""
-    for ax, head in zip(axes[0], heads, strict=False):
+def finish(figure: Figure, axes: np.ndarray, title: str, heads: Iterable[str], **legend: Any) -> None:
+    """Title, heads above the columns of a grid over time, and one legend."""
+    for ax, head in zip(axes[0], heads, strict=True):
         ax.set_title(head)
     for ax in axes[-1]:
-        ax.set_xlabel(below)
+        ax.set_xlabel("time from start of record [s]")
+    legend_below(figure, axes[0, 0], **legend)
+    figure.suptitle(title)
 
 
 def legend_below(figure: Figure, ax: Axes, columns: int = 0, **options: Any) -> None:

@@ -86,7 +86,7 @@ class Column:
 
 def _part(value: Any, part: int) -> Any:
     if isinstance(value, list):
-        return [_part(one, part) for one in value]
+        return [_part(x, part) for x in value]
     return None if value is None else value[part]
 
 

@@ -30,7 +30,7 @@ from bayes_aero.jobs.store import (
     write_json,
 )
 from bayes_aero.progress import Progress
-from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.pages.study import StudyContext, study_headline, study_page
 from bayes_aero.study.study import TASKS, Study, Unit, card_of
 

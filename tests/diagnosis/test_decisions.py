@@ -39,7 +39,7 @@ from bayes_aero.flight.health import OpenError
 from bayes_aero.inference.results import Scores, ScoreStatus
 from bayes_aero.model.model import lengths_of
 from bayes_aero.physics.aircraft import NAMES, NO_AIRCRAFT
-from bayes_aero.report.pages.findings import diagnosis_sentences, verdict_sentence
+from bayes_aero.report.pages.diagnosis import diagnosis_sentences, verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
 
 
@@ -261,7 +261,7 @@ def test_a_cause_that_loses_on_hold_out_data_is_not_confirmed_and_said_so(stated
     assert not contradictions(d)
     assert contradictions(replace(d, causes=(replace(found, confirmed=True),)))
     assert "do not confirm it" in told
-    assert ("Cm -223.0 ± 30.0, R² from -0.04 to -8.70" in told) == ("degraded" in worse)
+    assert ("Cm -223.0 ± 30.0" in told) == ("degraded" in worse)
 
 
 def test_what_was_added_or_named_is_not_called_untestable(diagnosed, monkeypatch):

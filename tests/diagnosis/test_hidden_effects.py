@@ -35,7 +35,7 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.physics.aircraft import required_of
-from bayes_aero.report.pages.findings import diagnosis_sentences
+from bayes_aero.report.pages.diagnosis import diagnosis_sentences
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.injection import flyable, hidden_flights, hidden_records, synthetic

@@ -53,7 +53,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import FLIGHT, NAMES, Axis
-from bayes_aero.report.pages.findings import diagnosis_sentences
+from bayes_aero.report.pages.diagnosis import diagnosis_sentences
 from bayes_aero.residuals.base import Blockwise
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import OutputError

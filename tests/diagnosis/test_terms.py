@@ -31,8 +31,7 @@ from bayes_aero.jobs.store import plain
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import FLIGHT, Aircraft
-from bayes_aero.report.pages.diagnosis import terms_table
-from bayes_aero.report.pages.findings import diagnosis_sentences
+from bayes_aero.report.pages.diagnosis import diagnosis_sentences, terms_table
 from bayes_aero.residuals.output_error import AddedCoefficients, AddedToFilter, FilterError, OutputError
 
 # Terms that nobody listed: the library by hand, the effect file that states one, and what is refused

@@ -65,8 +65,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.aircraft import FLIGHT
-from bayes_aero.report.figures.diagnosis import spectrum
-from bayes_aero.report.pages.findings import in_band_sentences
+from bayes_aero.report.pages.diagnosis import in_band_sentences
 from bayes_aero.report.pages.fly import disagreement_sentences
 from bayes_aero.report.pages.trajectories import settled_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
@@ -239,13 +238,6 @@ def test_log_scores_of_segments_of_different_length():
     for _ in range(20):  # the type checker looks at one element of a sequence, drawn at random
         found = hold_out.left_out_of(paths, flown, 1.0)
     assert found.densities().sum(axis=1) == pytest.approx(density)
-
-
-def test_the_spectrum_of_white_noise_is_twice_its_variance_over_the_sampling_rate():
-    rng = np.random.default_rng(2)
-    for _ in range(20):  # as above
-        _, power = spectrum([np.sqrt(2.0) * rng.standard_normal(n) for n in (4000, 6000)], 0.1)
-        assert power.mean() == pytest.approx(2.0 * 2.0 * 0.1, rel=0.05)
 
 
 # A lag of the separation point asked of trajectories: found where it is, not wanted where it is not

@@ -476,7 +476,7 @@ class Mixture(LogDensity):
         return (Parameter("a", "1", 0.0, 0.1, "-", PRIOR),)
 
     @property
-    def noise_label(self):
+    def label_of(self):
         return "white"
 
     def log_likelihood(self, x):

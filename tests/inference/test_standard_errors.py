@@ -191,6 +191,7 @@ def test_a_prior_that_the_record_contradicts_is_named_and_how_far_the_posterior_
     assert "29.1 combined standard errors away" in said
     conflicts = prior_conflicts([parameter("CLa", prior)], np.array([3.55]), np.array([0.03]))
     rows = {"prior": {"CLa": 0.8, "e": 0.2, "CD0": 0.01}, "likelihood": {"CLa": 0.7, "e": 0.3, "CD0": 0.2}}
+    rows["says"] = {"CLa": Dependence.BOTH.value, "e": Dependence.PRIOR.value, "CD0": Dependence.DATA.value}
     (said,) = leaning_sentences(pd.DataFrame(rows), conflicts)
     assert "CLa 0.80 to the prior" in said
     assert "also move e" in said
@@ -236,7 +237,7 @@ class Mean(LogDensity):
         return (Parameter("m", "1", 0.0, 0.0, "a mean", Prior("normal", 0.0, self.width)),)
 
     @property
-    def noise_label(self):
+    def label_of(self):
         return "white"
 
     def log_likelihood(self, x):

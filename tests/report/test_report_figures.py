@@ -18,20 +18,18 @@ from bayes_aero.model.noise import Colour
 from bayes_aero.physics.aircraft import NAMES
 from bayes_aero.report.figures.diagnosis import autocorrelation, telling
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, draw_all
-from bayes_aero.report.figures.posterior import pit_caption, pit_histogram
+from bayes_aero.report.figures.posterior import pit_histogram
 from bayes_aero.report.figures.time_histories import broken, predicted
-from bayes_aero.report.html.page import Fold, Picture, page_table
-from bayes_aero.report.pages.diagnosis import causes_table, probability, screen_table
-from bayes_aero.report.pages.findings import revealed, sentences
+from bayes_aero.report.page import Fold, Picture, page_table
+from bayes_aero.report.pages.diagnosis import causes_table, probability, revealed, screen_table, sentences
 from bayes_aero.report.pages.identification import identification_page
-from bayes_aero.report.phrases import size_text
+from bayes_aero.report.phrases import size_text, symbol
 from bayes_aero.report.style import NotDrawn, close, save
 
 SLOW = {"trace_emcee", "trace_nuts", "rank_emcee", "rank_nuts", "pair", "pit"}
 UNITLESS = {"density"}
 
 OF_LATERAL = {f"{kind}_{name}" for kind in ("validation", "correlation") for name in ("CY", "Cl", "Cn")}
-ASKED_FOR = {"next_flight"}  # drawn in test_report_tables.py
 
 
 def check(figure: Figure) -> None:
@@ -56,7 +54,7 @@ def saved(figure: Figure, folder) -> None:
     assert pixels[..., :3].std() > 0.01
 
 
-@pytest.mark.parametrize("stem", [stem for stem in FIGURES if stem not in OF_LATERAL | ASKED_FOR])
+@pytest.mark.parametrize("stem", [stem for stem in FIGURES if stem not in OF_LATERAL])
 def test_every_figure_draws_complete(stem, full, tmp_path):
     figure = FIGURES[stem](full)
     check(figure)
@@ -85,7 +83,7 @@ def test_the_registry_has_the_papers_nine_and_what_can_be_shown_without_posterio
 
 def test_many_manoeuvres(make):
     run = make(manoeuvres=5)
-    for stem in FIGURES.keys() - SLOW - OF_LATERAL - ASKED_FOR:
+    for stem in FIGURES.keys() - SLOW - OF_LATERAL:
         check(FIGURES[stem](run))
 
 
@@ -121,8 +119,6 @@ def test_predictions_follow_the_test_points_or_all_samples_and_lines_break_at_ga
     test = full.gp.splits["random"][0]["CD"]
     assert np.array_equal(points.index, test.test)
     assert np.array_equal(points.gp, test.gp)
-    second = points.of(full.observations.manoeuvre == 1)
-    assert set(full.observations.manoeuvre[second.index]) == {1}
     t, y = broken(np.array([0.0, 0.1, 5.0]), np.array([1.0, 2.0, 3.0]))
     assert np.isnan(t[2])
     assert np.array_equal(y, [1.0, 2.0, np.nan, 3.0], equal_nan=True)
@@ -130,7 +126,7 @@ def test_predictions_follow_the_test_points_or_all_samples_and_lines_break_at_ga
     points = predicted(run, "CL")
     alpha, elevator = (np.asarray(run.observations.signals[k]) for k in ("alpha", "elevator"))
     chord, arm = run.card.aircraft.chord, run.card.aircraft.tail_arm
-    assert points.gp is None
+    assert "gp" not in points
     assert np.allclose(points.mle, 0.2 + 4.0 * alpha + 0.8 * chord / arm * elevator)
 
 
@@ -155,24 +151,17 @@ def run_of(make, noise: Colour, **values: float):
     return replace(run, pit=pit_of(run))
 
 
-@pytest.mark.parametrize(
-    ("noise", "rho", "said"),
-    [
-        (Colour.AR1, 0.0, ("innovation",)),
-        (Colour.AR1, 0.9, ("innovation", "residuals of CL, CD and Cm", "too narrow", "CL -0.")),
-        (Colour.WHITE, None, ("each sample by itself",)),
-    ],
-)
-def test_the_words_say_which_distribution_is_asked_and_what_the_band_does_not_know(make, noise, rho, said):
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_the_title_says_how_neighbours_correlate(make, rho):
     """A correlation of 0.9 taken out of white samples leaves neighbours tied by -0.9/(1 + 0.81)."""
-    run = run_of(make, noise, **({} if rho is None else {"rho": rho}))
-    holds(pit_caption(run), *said)
-    assert ("independent and is too narrow" in pit_caption(run)) == (rho == 0.9)
+    run = run_of(make, Colour.AR1, rho=rho)
     if rho == 0.9:
         assert np.mean(run.pit.correlation) == pytest.approx(-0.9 / 1.81, abs=0.15)
-    if rho == 0.0:
+    else:
         assert run.pit.values.shape[1] == 3
         assert all(bars.outside == 0 for bars in run.pit.bars)
+    titles = [ax.get_title() for ax in pit_histogram(run).axes]
+    assert titles == [f"{n}: neighbours correlate {r:+.2f}" for n, r in zip(NAMES, run.pit.correlation, strict=True)]
 
 
 def test_the_pit_figure_stands_behind_the_calibration_s_fold_and_needs_a_posterior(make, tmp_path):
@@ -182,12 +171,12 @@ def test_the_pit_figure_stands_behind_the_calibration_s_fold_and_needs_a_posteri
     folds = [b for s in page.sections if s.key == "diagnostics" for b in s.blocks if isinstance(b, Fold)]
     (fold,) = (fold for fold in folds if fold.title.startswith("Calibration"))
     (picture,) = (block for block in fold.blocks if isinstance(block, Picture))
-    assert picture.caption == pit_caption(run)
+    holds(picture.caption, "flat if the model is calibrated", "too narrow where neighbours correlate")
     with pytest.raises(NotDrawn, match="no posterior"):
         pit_histogram(make(gp=False, engines=()))
 
 
-DOES_NOT_APPLY = {"gain", "moves", "trajectories_hold_out"}  # nothing was added or flown
+DOES_NOT_APPLY = {"gain", "trajectories_hold_out"}  # nothing was added or flown
 
 
 @pytest.fixture(scope="module")
@@ -212,15 +201,17 @@ def test_an_error_of_a_sensor_is_shown_where_it_shows(flown):
         replace(flown, diagnosis=replace(flown.diagnosis, causes=(replace(flown.diagnosis.causes[0], stage=stage),)))
         for stage in ("flight path", "coefficients")
     )
-    assert telling(model).quantity in NAMES
-    shown = telling(sensor)
-    card, extended = (flown.trajectories.path(shown.manoeuvre, m, "fitted") for m in ("card", "extended"))
+    assert telling(model)[0].name in NAMES
+    panel, manoeuvre, _ = telling(sensor)
+    card, extended = (flown.trajectories.path(manoeuvre, m, "fitted") for m in ("card", "extended"))
     falls = {n: card.errors[n].rms / extended.errors[n].rms for n in flown.trajectories.outputs}
-    assert falls[shown.quantity] == max(falls.values())
-    for path, (_, _, values, note) in zip((card, extended), shown.simulated, strict=True):
-        rms = np.sqrt(np.mean((values - shown.measured) ** 2))
-        assert float(note.split()[2]) == pytest.approx(rms, rel=0.06), path.model
-    assert telling(replace(sensor, trajectories=None)).quantity in NAMES
+    assert panel.name == symbol(max(falls, key=falls.get))
+    measured, *simulated = panel.lines
+    sizes = panel.note.removeprefix("RMS error ").split(" → ")
+    for size, line in zip(sizes, simulated, strict=True):
+        rms = np.sqrt(np.mean((line.values - measured.values) ** 2))
+        assert float(size) == pytest.approx(rms, rel=0.06), line.label
+    assert telling(replace(sensor, trajectories=None))[0].name in NAMES
 
 
 @pytest.mark.parametrize("stem", DIAGNOSIS_FIGURES)
@@ -274,8 +265,8 @@ def test_shares_of_the_mean_square_error_add_up_and_the_extension_explains_more(
     assert view.extended.composition["Cm"]["r2"] > view.card.composition["Cm"]["r2"]
     figure = DIAGNOSIS_FIGURES["measured_simulated"](view)
     measured, *simulated = (line.get_ydata() for line in figure.axes[2].lines)
-    rmse = " → ".join(f"{np.sqrt(np.mean((y - measured) ** 2)):.2g}" for y in simulated)
-    assert figure.axes[2].texts[0].get_text().endswith(f"RMSE {rmse}")
+    r2 = " → ".join(f"{1.0 - np.mean((y - measured) ** 2) / np.var(measured):.3f}" for y in simulated)
+    assert figure.axes[2].texts[0].get_text() == f"R² {r2}"
     close(figure)
 
 

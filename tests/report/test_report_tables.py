@@ -21,14 +21,12 @@ from bayes_aero.jobs.io.results import results
 from bayes_aero.jobs.store import as_json
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.report.figures.posterior import next_flight
-from bayes_aero.report.html.page import page_table
+from bayes_aero.report.page import page_table
 from bayes_aero.report.pages.diagnosis import holdout_table
 from bayes_aero.report.pages.estimates import next_flight_sentences, ordered, scatter
 from bayes_aero.report.pages.identification import next_flight_table, parameter_table, validation_table
 from bayes_aero.report.pages.trajectories import gust_table
 from bayes_aero.report.phrases import concise, plus_minus, size_text
-from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.table import BeforeAfter, Column, Estimate, Table, cell_text, columns_of, write_csv
 from bayes_aero.units import number
 
@@ -312,15 +310,6 @@ def test_it_is_said_how_little_two_manoeuvres_show_and_what_has_not_converged(po
     assert "NUTS" not in said
     failed = replace(pooled, next_flight=replace(pooled.next_flight, status=PosteriorStatus.DIVERGENT))
     assert PosteriorStatus.DIVERGENT.value in next_flight_sentences(failed)[-1]
-
-
-def test_the_figure_has_a_line_for_each_fit(pooled, full):
-    figure = next_flight(pooled)
-    labels = [tick.get_text() for tick in figure.axes[0].get_yticklabels()]
-    both = ["flight1 alone", "flight1 pooled", "flight2 alone", "flight2 pooled"]
-    assert labels == ["joint fit", *both, "aircraft", "next flight"]
-    with pytest.raises(NotDrawn):
-        next_flight(full)
 
 
 def test_json_and_python_have_the_same_numbers(pooled, full):

@@ -23,9 +23,8 @@ from bayes_aero.jobs.store import plain
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.report import phrases
-from bayes_aero.report.pages.diagnosis import changes_table
+from bayes_aero.report.pages.diagnosis import change_sentences, changes_table, diagnosis_sentences
 from bayes_aero.report.pages.estimates import sign_sentences, verdict
-from bayes_aero.report.pages.findings import change_sentences, diagnosis_sentences
 from bayes_aero.report.pages.identification import headline
 from bayes_aero.report.phrases import WORDS, filled, is_doubtful, not_testable_sentences, several
 
@@ -67,13 +66,13 @@ SAID = [  # how the run is made (None: as `full`), words of the one sentence, wh
     ({}, "not white", None),
     ({"lag1": 0.9, "corrected": 1.05}, "not white", None),  # coloured, but the bound does not care
     ({"corrected": 3.0, "width": 3.0}, "not white", ["longer lags"]),
-    (None, "same assumption", ["within 0%"]),  # a white posterior is no second witness
+    (None, "same assumption", ["does not support the bound"]),  # a white posterior is no second witness
     ({}, "same assumption", None),
     (None, "weighs the data differently", ["0.5 times the corrected"]),
     (WIDER, "weighs the data differently", None),
     (None, "mean function is wrong, or the residual", ["Cma (6.7)"]),  # 0.3 / hypot(0.02, 0.04)
     (WIDER, "mean function is wrong, or the residual", None),
-    (None, "Fitted alone", ["Cramér-Rao bound: Cmde (42.4)", "corrected bound: Cmde (10.6)", "width: Cmde (21.2)"]),
+    (None, "Fitted alone", ["Cramér-Rao bound: Cmde (42.4)", "corrected bound: Cmde (10.6)"]),
     ({"apart": {"Cmde": 3.0}}, "Fitted alone", None),
     (SLIGHT, "Fitted alone", ["Cramér-Rao bound: Cmde (5.7); by the corrected bound: none"]),
     (None, "No noise model alone explains", ["Cmde is -0.800 from flight1 and -1.400 from flight2", "lacks an effect"]),
@@ -257,7 +256,7 @@ def test_one_sentence_counts_every_effect_once():
     first, *counts = map(int, re.findall(r"(?:^|: |; )(\d+) ", said))
     assert first == sum(counts) == len(REASONS)
     assert counts == [3, 1, 1, 1]
-    holds(said, "canard, dlc_left and dlc_right", "(beta)", "(e)", "{tried} later")
+    holds(said, "canard, dlc_left and dlc_right", "channel beta", "has no e", "{tried} later")
     assert not_testable_sentences({}) == []
 
 

@@ -10,8 +10,7 @@ from rich.console import Console
 
 from bayes_aero.diagnosis.result import Confirmation, Disagreement, LagTest, ProcessNoise
 from bayes_aero.inference.results import Calibration, OneStep, OutputErrorStatus, Predicted, Share
-from bayes_aero.report.figures.posterior import one_step_quantiles
-from bayes_aero.report.html.page import page_table
+from bayes_aero.report.page import page_table
 from bayes_aero.report.pages.fly import disagreement_sentences, fly_sentences, outside, parameter_table
 from bayes_aero.report.pages.trajectories import (
     cause_sentences,
@@ -22,7 +21,6 @@ from bayes_aero.report.pages.trajectories import (
     simulation_gain,
 )
 from bayes_aero.report.phrases import nats_text
-from bayes_aero.report.style import NotDrawn
 
 
 def test_the_gain_is_that_of_unseen_flights_and_else_nothing_is_said(simulated):
@@ -192,16 +190,3 @@ def test_the_table_has_units_and_per_cent():
     with console.capture() as captured:
         console.print(table.terminal())
     assert "…" not in captured.get()
-
-
-def test_every_output_has_a_panel_with_its_status_and_a_fit_is_needed():
-    figure = one_step_quantiles(of(predictions(alpha=Calibration.TOO_NARROW)))
-    assert [ax.get_title() for ax in figure.axes] == ["α: too narrow", "q: calibrated", "all together: calibrated"]
-    for ax in figure.axes:
-        line = next(line for line in ax.lines if line.get_label() == "innovations")
-        np.testing.assert_array_equal(line.get_xydata(), LINE[:, :2])
-    alone = predictions()
-    single = one_step_quantiles(of(replace(alone, outputs={"q": alone.outputs["q"]})))
-    assert [ax.get_title() for ax in single.axes] == ["q: calibrated"]
-    with pytest.raises(NotDrawn, match="did not converge"):
-        one_step_quantiles(of(None))

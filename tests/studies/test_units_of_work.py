@@ -17,7 +17,7 @@ from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.jobs.diagnose import in_background
 from bayes_aero.processes import cores
-from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page import put_page
 from bayes_aero.study import cluster
 from bayes_aero.study import jit_cache as compiled
 from bayes_aero.study.cluster import Driver, work

@@ -50,8 +50,8 @@ from bayes_aero.jobs.store import picked
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.pages.estimates import PooledScores, flown
-from bayes_aero.report.pages.findings import sentences
+from bayes_aero.report.pages.diagnosis import sentences
+from bayes_aero.report.pages.estimates import flown
 from bayes_aero.report.pages.fly import parameter_rows
 from bayes_aero.report.pages.identification import next_flight_table, parameter_table, validation_table
 from bayes_aero.report.table import write_csv
@@ -310,12 +310,11 @@ def processes_part(report: GPReport) -> parts.ProcessesPart:
     for split, folds in report.splits.items():
         splits[split] = {}
         for name in folds[0]:
-            own = [fold[name] for fold in folds]
-            pooled = PooledScores.of(own)
+            pooled = report.pooled(split, name)
             inside = {f"coverage{round(100 * level)}": share for level, share in pooled.coverage.items()}
-            each = [{"gpr": v.gp_scores, "mle": v.mle_scores} for v in own]
-            scores = {"k_hat": pooled.k_hat, "status": pooled.status, "mle": pooled.mle, "folds": each}
-            splits[split][name] = parts.ProcessPart.of(pooled.gp, **inside, **scores)
+            each = [{"gpr": fold[name].gp_scores, "mle": fold[name].mle_scores} for fold in folds]
+            scores = {"k_hat": pooled.k_hat, "status": pooled.status, "mle": pooled.mle_scores, "folds": each}
+            splits[split][name] = parts.ProcessPart.of(pooled.gp_scores, **inside, **scores)
     return parts.ProcessesPart.of(sampled_split=report.chosen, **splits)
 
 

@@ -11,17 +11,17 @@ from matplotlib.figure import Figure
 
 from bayes_aero.errors import failure
 from bayes_aero.progress import Progress
-from bayes_aero.report.figures import diagnosis, posterior, prior, time_histories
+from bayes_aero.report.figures import diagnosis, posterior, time_histories
 from bayes_aero.report.style import Drawing, NotDrawn, save
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import View
 
 ViewFigures = Mapping[str, Callable[["View"], Figure]]
-FIGURES: dict[str, Drawing] = dict(sorted((posterior.FIGURES | prior.FIGURES | time_histories.FIGURES).items()))
+FIGURES: dict[str, Drawing] = dict(sorted((posterior.FIGURES | time_histories.FIGURES).items()))
 """What an identification shows: the seed paper's nine under its numbers, then what Bayesian identification adds."""
 DIAGNOSIS_FIGURES: ViewFigures = (
-    diagnosis.DIAGNOSIS_FIGURES | prior.DIAGNOSIS_FIGURES | {"trajectories_hold_out": time_histories.hold_out}
+    diagnosis.DIAGNOSIS_FIGURES | posterior.DIAGNOSIS_FIGURES | {"trajectories_hold_out": time_histories.hold_out}
 )
 """What a diagnosis shows."""
 AFTER_TRAJECTORIES = ("found", "trajectories_hold_out")
@@ -33,21 +33,20 @@ Shown = TypeVar("Shown")
 def draw_all(
     drawings: Mapping[str, Callable[[Shown], Figure]], shown: Shown, folder: Path, progress: Progress | None = None
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Draw every figure of a registry for which `shown` holds something into `folder` as PNG.
+    """Draw every figure for which `shown` holds something into `folder` as PNG: paths, and a sentence on each failure.
 
-    Returns the paths written, and for each figure that failed a sentence. A figure that fails leaves no file and does
-    not keep the others from being drawn; one for which there is nothing to show is left out.
+    One that fails leaves no file and does not keep the others from being drawn.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    written: list[Path] = []
-    failed: list[str] = []
+    written, failed = [], []
     for number, (stem, draw) in enumerate(drawings.items()):
+        path = folder / f"{stem}.png"
         if progress:
             progress(f"figure {stem}", number / len(drawings))
         try:
-            (folder / f"{stem}.png").unlink(missing_ok=True)  # of an earlier run
+            path.unlink(missing_ok=True)  # of an earlier run
             gc.disable()  # a figure has so many objects that all that JAX holds would be searched for cycles each time
-            written.append(save(draw(shown), folder / f"{stem}.png"))
+            written.append(save(draw(shown), path))
         except NotDrawn:
             continue
         except Exception as reason:  # whatever it is, the other figures and the results stand; it is reported by name

@@ -1,31 +1,35 @@
-"""Figures of the posterior: mixing and shape, calibration of predictions, measured against predicted."""
+"""Figures of posterior and prior, calibration, measured against predicted, the stall, channels of effects."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import arviz_base as azb
 import numpy as np
+import pandas as pd
 import xarray as xr
+from arviz_stats.base import array_stats
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.inference.results import score
-from bayes_aero.model.noise import Colour
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.time_histories import of_coefficient, predicted, what_is_shown
+from bayes_aero.report.figures.time_histories import predicted, what_is_shown
 from bayes_aero.report.pages import estimates as comparison
-from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered, unit_of
-from bayes_aero.report.phrases import GREEK, WORDS, bracket, plus_minus, sentence
-from bayes_aero.report.table import NORMAL95, Estimate
+from bayes_aero.report.pages.estimates import chosen_posteriors, label_of, ordered, unit_of
+from bayes_aero.report.phrases import bracket, plus_minus
+from bayes_aero.report.plots import COLOURS, MODELS
+from bayes_aero.report.table import Estimate
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import ProcessNoise
-    from bayes_aero.inference.results import Identification, Posterior
+    from bayes_aero.diagnosis.result import View
+    from bayes_aero.inference.results import Identification, Posterior, Stall
+
 
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
 RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows with it
@@ -43,7 +47,6 @@ def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
 
 
 def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: Any) -> Figure:
-    """Call arviz_plots' plot `kind` and take its figure out of pyplot."""
     with style.quiet_pyplot():
         plots = style.arviz_plots()
         layout = {"figsize": size, "figsize_units": "inches"}
@@ -54,104 +57,67 @@ def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: An
     return figure
 
 
-def _title(identification: Identification, engine: str, what: str) -> str:
-    p = identification.posteriors[engine]
-    worst_rhat = max(m.rhat for m in p.marginals.values())
-    worst_ess = min(m.ess_bulk for m in p.marginals.values())
-    return (
-        f"{what}: {engine_label(engine)}, {noise_label(p.noise)} noise, {p.status.name.lower().replace('_', ' ')} "
-        f"(worst R-hat {worst_rhat:.3f}, smallest bulk ESS {worst_ess:.0f})"
-    )
-
-
-def _chains(kind: str, engine: str) -> style.Drawing:
+def _chains(identification: Identification, kind: str, engine: str) -> Figure:
     """The plot of `arviz_plots` of every parameter's chains by an engine: traces, or ranks (ECDF less uniform)."""
-
-    def drawn(identification: Identification) -> Figure:
-        if engine not in identification.posteriors:
-            raise style.NotDrawn(f"this run has no posterior by {engine_label(engine)}")
-        posterior = identification.posteriors[engine]
-        names, sizes = ordered(posterior.names, identification.mle.parameters), posterior.tree["posterior"].sizes
-        size = 3.7 * min(len(names), 4), 2.1 * -(-len(names) // 4) + 0.6
+    if engine not in identification.posteriors:
+        raise style.NotDrawn(f"this run has no posterior by {label_of(engine)}")
+    posterior = identification.posteriors[engine]
+    status = posterior.status.name.lower().replace("_", " ")
+    about = f"{kind.capitalize()}: {label_of(engine)}, {label_of(posterior.noise)} noise, {status}"
+    names, chains = ordered(posterior.names, identification.mle.parameters), posterior.tree["posterior"].sizes["chain"]
+    size: tuple[float, float] = 3.7 * min(len(names), 4), 2.1 * -(-len(names) // 4) + 0.6
+    if kind == "trace":
+        below = "draw, walkers end to end, thinned [-]" if engine == "emcee" else "draw, thinned [-]"
+        how = {"trace": {"alpha": 0.6, "width": 0.4}, "xlabel": False, "ticklabels": False, "title": False}
+        look = {"aes": {"color": ["chain"]}, "visuals": how}
+        most = TRACE_DRAWS
+    else:
+        below, look = "fractional rank [-]", {"visuals": {"xlabel": False}}
+        independent = min(m.ess_bulk for m in posterior.marginals.values())
+        most = min(RANK_DRAWS, max(50, int(independent / chains)))
+        about += "\nthinned to independent draws; band: 99 % for chains that agree"
+    figure = _draw(kind, _thinned(posterior, names, most), size, col_wrap=4, color=CHAIN_COLOURS, **look)
+    for number, (ax, name) in enumerate(zip([ax for ax in figure.axes if ax.has_data()], names, strict=True)):
         if kind == "trace":
-            tree = _thinned(posterior, names, TRACE_DRAWS)
-            how = {"trace": {"alpha": 0.6, "width": 0.4}, "xlabel": False, "ticklabels": False, "title": False}
-            figure = _draw("trace", tree, size, col_wrap=4, aes={"color": ["chain"]}, color=CHAIN_COLOURS, visuals=how)
-            thinned = ", thinned [-]" if tree["posterior"].sizes["draw"] < sizes["draw"] else " [-]"
-            below, title = ("draw, walkers end to end" if engine == "emcee" else "draw") + thinned, "Trace"
+            ax.set_ylabel(f"{name} {bracket(unit_of(identification, name))}")
         else:
-            independent = min(m.ess_bulk for m in posterior.marginals.values())
-            tree = _thinned(posterior, names, min(RANK_DRAWS, max(50, int(independent / sizes["chain"]))))
-            figure = _draw("rank", tree, size, col_wrap=4, color=CHAIN_COLOURS, visuals={"xlabel": False})
-            below, title = "fractional rank [-]", "Rank"
-        for number, (ax, name) in enumerate(zip([ax for ax in figure.axes if ax.has_data()], names, strict=True)):
-            if kind == "trace":
-                ax.set_ylabel(f"{name} {bracket(unit_of(identification, name))}")
-            else:
-                ax.set_title(name)
-                ax.set_ylabel("Δ ECDF [-]" if number % 4 == 0 else "")
-            if number >= len(names) - 4:
-                ax.set_xlabel(below)
-        band = "\nthinned to independent draws; band: 99 % for chains that agree" if kind == "rank" else ""
-        figure.suptitle(_title(identification, engine, title) + band)
-        return figure
-
-    return style.housed(drawn)
-
-
-@style.housed
-def pair(identification: Identification) -> Figure:
-    """Scatter of the model's parameters against each other, marginals on the diagonal, by the first engine there is."""
-    engines = chosen_posteriors(identification)
-    if not engines:
-        raise style.NotDrawn("this run has no posterior")
-    engine, posterior = next(iter(engines.items()))
-    names = ordered((n for n in posterior.names if n in identification.mle.names), identification.mle.parameters)
-    if len(names) < 2:
-        raise style.NotDrawn("a pair plot needs two parameters")
-    figure = _pair(engine, posterior, names)
-    places = [(row, column) for row in range(len(names)) for column in range(row + 1)]
-    labels = [f"{name} {bracket(unit_of(identification, name))}" for name in names]
-    for ax, (row, column) in zip(figure.axes, places, strict=True):  # a lower triangle, named on its outer axes
-        last = row == len(names) - 1
-        ax.locator_params(nbins=3)
-        ax.tick_params(labelbottom=last, labelleft=column == 0 and row > 0)
-        if row == column:
-            ax.set_yticks([])
-        ax.set_xlabel(labels[column] if last else "")
-        ax.set_ylabel(("density" if row == 0 else labels[row]) if column == 0 else "")
-    figure.suptitle(_title(identification, engine, "Posterior of the model's parameters"))
+            ax.set_title(name)
+            ax.set_ylabel("Δ ECDF [-]" if number % 4 == 0 else "")
+        if number >= len(names) - 4:
+            ax.set_xlabel(below)
+    figure.suptitle(about)
     return figure
 
 
 @style.housed
 def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
-    """The same of a fit with process noise, by the first sampler: the parameters that vary together the most."""
+    """Scatter, by the first sampler, of the parameters that vary together the most, marginals on the diagonal."""
     if not posteriors:
-        raise style.NotDrawn("there is no posterior")
+        raise style.NotDrawn("this run has no posterior")
     engine, posterior = next(iter(posteriors.items()))
-    figure = _pair(engine, posterior, posterior.most_correlated(MOST_PAIRED))
-    figure.suptitle(
-        f"Posterior with process noise by {engine_label(engine)}: the parameters of the largest correlations"
-    )
-    return figure
-
-
-def _pair(engine: str, posterior: Posterior, names: list[str]) -> Figure:
-    """A matrix of panels without the empty ones."""
+    names = posterior.most_correlated(MOST_PAIRED)
+    if len(names) < 2:
+        raise style.NotDrawn("a pair plot needs two parameters")
     side = 1.15 * len(names) + 1.0
     look = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
     tree = _thinned(posterior, names, PAIR_DRAWS)
     figure = _draw("pair", tree, (side, side), visuals={"scatter": look, "dist": {"color": look["color"]}})
     for ax in [ax for ax in figure.axes if not ax.has_data()]:
         ax.remove()
+    places = [(row, column) for row in range(len(names)) for column in range(row + 1)]
+    for ax, (row, column) in zip(figure.axes, places, strict=True):  # a lower triangle, named on its outer axes
+        last = row == len(names) - 1
+        ax.locator_params(nbins=3)
+        ax.tick_params(labelbottom=last, labelleft=column == 0 and row > 0)
+        if row == column:
+            ax.set_yticks([])
+        ax.set_xlabel(f"{names[column]} [SI]" if last else "")
+        ax.set_ylabel(("density" if row == 0 else f"{names[row]} [SI]") if column == 0 else "")
+    figure.suptitle(f"Posterior by {label_of(engine)}: the parameters of the largest correlations")
     return figure
 
 
 # --- Calibration of predictions: histograms of the probability integral transform, and quantiles of innovations.
-
-SLIGHT = 0.1  # correlation of neighbours up to which the band's independence is near enough; our choice
-CHANCE = 3.0  # deviations of the correlation of independent neighbours
 
 
 @style.housed
@@ -172,51 +138,9 @@ def pit_histogram(identification: Identification) -> Figure:
     axes[0].set_ylim(bottom=0.0)
     axes[0].set_ylabel("density, 1 if calibrated [-]")
     style.legend_below(figure, axes[0], 2)
-    figure.suptitle(f"Where measurements fall in the {what_predicts(identification)} ({engine_label(t.engine)})")
+    what = "posterior predictive" if identification.noise == "white" else "one-step-ahead posterior predictive"
+    figure.suptitle(f"Where measurements fall in the {what} ({label_of(t.engine)})")
     return figure
-
-
-@style.housed
-def one_step_quantiles(found: ProcessNoise) -> Figure:
-    """A panel for each output, and one for all together: quantiles of innovations over those of calibrated ones."""
-    if found.one_step is None:
-        raise style.NotDrawn("the fit with process noise did not converge")
-    shown = dict(found.one_step.outputs)
-    shown |= {"all together": found.one_step.together} if len(shown) > 1 else {}
-    figure, axes = style.grid_of(len(shown), 4, (2.4, 2.5), sharex=True, sharey=True)
-    for ax, (name, one) in zip(axes, shown.items(), strict=True):
-        score, value, low, high = one.quantiles.T
-        ax.fill_between(score, low, high, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="its 95 % band")
-        ax.plot(score, score, color=COLOURS["measured"], lw=0.8, ls=":", label="calibrated")
-        ax.plot(score, value, color=COLOURS["after"], marker="o", ms=3.0, label="innovations")
-        ax.set_title(f"{GREEK.get(name, name)}: {one.calibration.value.replace('_', ' ')}")
-    for ax in axes[-4:]:
-        ax.set_xlabel("standard normal [-]")
-        ax.tick_params(labelbottom=True)
-    for ax in axes[::4]:
-        ax.set_ylabel("innovation / predicted sd [-]")
-    style.legend_below(figure, axes[0], 3)
-    figure.suptitle("Quantiles of innovations, predicted one step ahead")
-    return figure
-
-
-def what_predicts(identification: Identification) -> str:
-    """The predictive distribution, in a few words."""
-    return "posterior predictive" if identification.noise is Colour.WHITE else "one-step-ahead posterior predictive"
-
-
-def pit_caption(identification: Identification) -> str:
-    """Caption of `pit_histogram`."""
-    t = identification.pit
-    assert t is not None, "the figure was drawn"
-    correlations = dict(zip(identification.observations.coefficients, t.correlation, strict=True))
-    limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
-    coloured = [name for name, r in correlations.items() if abs(r) > limit]
-    white = identification.noise is Colour.WHITE
-    listed = [f"{name} {r:+.2f}" for name, r in correlations.items()]
-    how = sentence("pit_white" if white else "pit_coloured", listed=listed)
-    narrow = sentence("pit_narrow", names=coloured) if coloured else ""
-    return f"{WORDS['captions']['pit']} {how} {narrow}".strip()
 
 
 # --- The seed paper's figures without time: measured against predicted, and the stall hysteresis.
@@ -225,19 +149,18 @@ def pit_caption(identification: Identification) -> str:
 def _correlation(identification: Identification, name: str) -> Figure:
     """Measured against predicted on the same points: maximum likelihood and GPR side by side, on one scale."""
     points = predicted(identification, name)
-    pairs = [("Maximum likelihood", COLOURS["mle"], points.mle)]
-    if points.gp is not None:
-        pairs.append(("Gaussian-process regression", COLOURS["gpr"], points.gp))
-    size = (4.9 * len(pairs) + 0.2, 5.75)
-    figure, axes = style.panels(1, len(pairs), size, sharex=True, sharey=True)
-    both = np.concatenate([points.measured, *(values for _, _, values in pairs)])
+    pairs = {"Maximum likelihood": "mle", "Gaussian-process regression": "gp"}
+    pairs = {title: key for title, key in pairs.items() if key in points}
+    figure, axes = style.panels(1, len(pairs), (4.9 * len(pairs) + 0.2, 5.75), sharex=True, sharey=True)
+    both = points[["measured", *pairs.values()]].to_numpy()
     ends = np.array([both.min(), both.max()]) + 0.03 * np.ptp(both) * np.array([-1.0, 1.0])
-    for ax, (title, colour, values) in zip(axes[0], pairs, strict=True):
-        found = score(points.measured, values)
-        ax.plot(ends, ends, color="#555555", lw=0.9, zorder=1)
-        ax.scatter(points.measured, values, s=7, color=colour, alpha=0.45, linewidths=0, zorder=2)
+    for ax, (title, key) in zip(axes[0], pairs.items(), strict=True):
+        r, rmse = points.measured.corr(points[key]), np.sqrt(np.mean((points.measured - points[key]) ** 2))
+        colour = COLOURS["mle" if key == "mle" else "gpr"]
+        ax.plot(ends, ends, color=GREY, lw=0.9, zorder=1)
+        ax.scatter(points.measured, points[key], s=7, color=colour, alpha=0.45, linewidths=0, zorder=2)
         ax.set(xlim=ends, ylim=ends, box_aspect=1.0, xlabel=f"measured {name} [-]", title=title)
-        text = f"r = {found.r:.4f}\nRMSE = {found.rmse:.5f}\nn = {len(values)}"
+        text = f"r = {r:.4f}\nRMSE = {rmse:.5f}\nn = {len(points)}"
         ax.text(0.04, 0.96, text, transform=ax.transAxes, va="top", linespacing=1.4)
     axes[0, 0].set_ylabel(f"predicted {name} [-]")
     figure.suptitle(f"{name}, measured against predicted:\n{what_is_shown(identification)}")
@@ -247,25 +170,21 @@ def _correlation(identification: Identification, name: str) -> Figure:
 @style.housed
 def hysteresis(identification: Identification) -> Figure:
     """CL against angle of attack, rising and falling separate: measured, maximum likelihood, GPR."""
-    o = identification.observations
-    if "CL" not in o.coefficients:
-        raise style.NotDrawn("the model has no CL")
-    points = predicted(identification, "CL")
+    o, points = identification.observations, predicted(identification, "CL")
     alpha, rising = np.rad2deg(np.asarray(o.signals["alpha"])), np.asarray(o.signals["alpha_dot"]) > 0.0
-    sources = [("measured", np.arange(o.n), np.asarray(o.measured)[:, o.coefficients.index("CL")])]
-    sources.append(("maximum likelihood", points.index, points.mle))
-    if points.gp is not None:
-        sources.append(("GPR", points.index, points.gp))
+    measured = pd.Series(np.asarray(o.measured)[:, o.coefficients.index("CL")])
+    sources = {"measured": measured, "maximum likelihood": points.mle}
+    sources |= {"GPR": points.gp} if "gp" in points else {}
     rows = len(o.names)
     style.refuse_many(rows)
     size = (4.4 * len(sources), min(3.6, 0.8 * style.column_width(rows)) * rows + 0.9)
     figure, axes = style.panels(rows, len(sources), size, sharex=True, sharey=True)
     for number, row in enumerate(axes):
-        for ax, (title, index, values) in zip(row, sources, strict=True):
-            mine = o.manoeuvre[index] == number
-            for key, way in (("rising", rising[index]), ("falling", ~rising[index])):
-                x, y = alpha[index][mine & way], values[mine & way]
-                ax.plot(x, y, ".", ms=2.0, color=COLOURS[key], alpha=0.7, label=f"α {key}")
+        for ax, (title, values) in zip(row, sources.items(), strict=True):
+            mine = values[o.manoeuvre[values.index] == number]
+            for key, way in (("rising", rising[mine.index]), ("falling", ~rising[mine.index])):
+                look = {"color": COLOURS[key], "label": f"α {key}", "ms": 2.0, "alpha": 0.7}
+                ax.plot(alpha[mine.index][way], mine[way], ".", **look)
             ax.set_title(f"{o.names[number]}, {title}")
         row[0].set_ylabel("CL [-]")
     for ax in axes[-1]:
@@ -278,82 +197,38 @@ def hysteresis(identification: Identification) -> Figure:
 # --- Bounds and credible intervals: forest plots, and every standard error as a multiple of the Cramer-Rao bound.
 
 GREY = "#555555"  # of what has no colour of its own
-MARKERS = {"crb": "|", "crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^", "scatter": "*"}
-
-
-@dataclass(frozen=True)
-class ForestLine:
-    """One line of a forest panel: an estimate; `inner` is half of a narrower interval, drawn thick."""
-
-    label: str
-    colour: str
-    estimate: Estimate
-    inner: float | None = None
+MARKERS = {"crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^"}
 
 
 @style.housed
 def forest(identification: Identification) -> Figure:
     """Every parameter by every method, with 95 % intervals and numbers; one panel per parameter, in its own unit."""
-    table = {}
+    table: dict[str, list[tuple[str, str, Estimate]]] = {}  # label, role of the colour, estimate
     for name in ordered(identification.mle.names, identification.mle.parameters):
-        found = [(m, m.estimates[name]) for m in comparison.methods(identification) if name in m.estimates]
-        table[name] = [ForestLine(m.label, COLOURS.get(m.key, GREY), e) for m, e in found if np.isfinite(e.sd)]
-        for manoeuvre, (x, crb, corrected) in comparison.alone(identification, name).items():
-            estimate, label = Estimate.normal(x, corrected), f"{manoeuvre} alone, ML"
-            table[name].append(ForestLine(label, COLOURS["alone"], estimate, NORMAL95 * crb))
-    return _forest(
-        identification,
-        table,
-        "Estimates with 95 % intervals, and estimate ± standard deviation\n"
-        "one manoeuvre alone: thick Cramér-Rao, thin corrected bound (the number's ±)",
-    )
-
-
-@style.housed
-def next_flight(identification: Identification) -> Figure:
-    """Joint fit, manoeuvres alone and pooled, aircraft and next flight, with 95 % intervals; a panel a parameter."""
-    found, mle = identification.next_flight, identification.mle
-    if found is None:
-        raise style.NotDrawn("the manoeuvres were not pooled; ask for the next flight")
-    if len(found.manoeuvres) > style.MOST_MANOEUVRES:
-        raise style.NotDrawn(f"there are more than {style.MOST_MANOEUVRES} manoeuvres")
-    table, bound = {}, comparison.bounds(mle, mle.crb_corrected)
-    for name in ordered(found.aircraft, found.parameters):
-        joint = bound[name]
-        rows = [ForestLine("joint fit", COLOURS["mle"], joint)] if np.isfinite(joint.sd) else []
-        for m in found.manoeuvres:
-            if name in found.alone[m]:
-                rows.append(ForestLine(f"{m} alone", COLOURS["prior"], Estimate.normal(*found.alone[m][name])))
-            rows.append(ForestLine(f"{m} pooled", COLOURS["alone"], Estimate.of(found.pooled[m][name])))
-        rows.append(ForestLine("aircraft", COLOURS["nuts"], Estimate.of(found.aircraft[name])))
-        table[name] = [*rows, ForestLine("next flight", COLOURS["scatter"], Estimate.of(found.following[name]))]
-    title = "Manoeuvres alone and pooled, and the next flight\n95 % intervals; numbers: ± standard deviation"
-    return _forest(identification, table, title)
-
-
-def _forest(identification: Identification, table: dict[str, list[ForestLine]], title: str) -> Figure:
-    """A panel for each parameter with a line for each of its intervals."""
-    labels = list(dict.fromkeys(row.label for rows in table.values() for row in rows))
+        every = [(m, m.estimates[name]) for m in comparison.methods(identification) if name in m.estimates]
+        table[name] = [(m.label, m.key, e) for m, e in every if np.isfinite(e.sd)]
+        for manoeuvre, (x, _, corrected) in comparison.alone(identification, name).items():
+            table[name].append((f"{manoeuvre} alone, ML", "alone", Estimate.normal(x, corrected)))
+    labels = list(dict.fromkeys(label for lines in table.values() for label, *_ in lines))
     columns = min(2, len(table))  # three would not be legible on a page
     figure, axes = style.grid_of(len(table), columns, (5.4, 0.2 * len(labels) + 0.85))
-    for number, (ax, (name, rows)) in enumerate(zip(axes, table.items(), strict=True)):
-        for row in rows:
-            y, (x, sd, low, high), colour = labels.index(row.label), row.estimate, row.colour
+    for number, (ax, (name, lines)) in enumerate(zip(axes, table.items(), strict=True)):
+        for label, key, (x, sd, low, high) in lines:
+            y, colour = labels.index(label), COLOURS.get(key, GREY)
             ax.plot([low, high], [y, y], color=colour, lw=1.6, solid_capstyle="butt")
-            if row.inner is not None:
-                ax.plot([x - row.inner, x + row.inner], [y, y], color=colour, lw=4.0, alpha=0.6)
             ax.plot(x, y, "o", ms=4.0, color=colour, mec="white", mew=0.5)
             beside = {"transform": ax.get_yaxis_transform(), "va": "center", "fontsize": 7.5, "color": "#333333"}
             ax.text(1.02, y, plus_minus(x, sd), **beside)
-        if rows:
-            ax.axvline(rows[0].estimate.centre, color=COLOURS["crb"], lw=0.8, zorder=0)
+        if lines:
+            ax.axvline(lines[0][2].centre, color=COLOURS["crb"], lw=0.8, zorder=0)
         ax.set_yticks(range(len(labels)), [""] * len(labels) if number % columns else labels)
         ax.set_ylim(len(labels) - 0.4, -0.6)
         ax.xaxis.set_major_locator(MaxNLocator(5))
         ax.grid(axis="y", visible=False)
         ax.tick_params(axis="y", length=0)
         ax.set_xlabel(f"{name} {bracket(unit_of(identification, name))}", labelpad=1)
-    figure.suptitle(title)
+    note = "one manoeuvre alone: corrected bound"
+    figure.suptitle(f"Estimates with 95 % intervals, and estimate ± standard deviation\n{note}")
     return figure
 
 
@@ -361,34 +236,25 @@ def _forest(identification: Identification, table: dict[str, list[ForestLine]], 
 def crb_vs_credible(identification: Identification) -> Figure:
     """Each method's standard deviation over the Cramer-Rao one, on a log axis, and the scatter between manoeuvres."""
     names = ordered(identification.mle.names, identification.mle.parameters)
-    found = comparison.methods(identification)
-    crb, others = found[0], found[1:]
+    crb, *others = comparison.methods(identification)
     if not all(np.isfinite(e.sd) for e in crb.estimates.values()):
         raise style.NotDrawn("the Cramér-Rao bounds do not exist: the information matrix is singular")
     figure, axes = style.panels(1, 1, (9.0, 0.36 * len(names) + 2.0))
-    ax = axes[0, 0]
+    ax, rows = axes[0, 0], np.arange(len(names))
     ax.axvline(1.0, color=COLOURS["crb"], lw=1.6, label="Cramér-Rao bound, white residuals")
-    rows = np.arange(len(names))
-    offsets = np.linspace(-0.24, 0.24, len(others)) if len(others) > 1 else [0.0]
-    for method, offset in zip(others, offsets, strict=True):
-        ratio = [e.sd / crb.estimates[n].sd if e else np.nan for n, e in zip(names, method.of(names), strict=True)]
-        look = {"color": COLOURS.get(method.key, GREY), "ms": 6.0, "mec": "white", "mew": 0.5}
-        ax.plot(ratio, rows + offset, MARKERS.get(method.key, "o"), label=method.label, **look)
-    between = [comparison.scatter(identification, name) for name in names]
-    if any(s is not None for s in between):
-        ratio = [s.sd / crb.estimates[n].sd if s else np.nan for s, n in zip(between, names, strict=True)]
-        look = {"color": COLOURS["scatter"], "ms": 10.0, "mec": "white", "mew": 0.5, "zorder": 4}
+    look: dict[str, Any] = {"ls": "none", "mec": "white", "mew": 0.5}
+    for method, offset in zip(others, np.linspace(-0.24, 0.24, len(others)), strict=True):
+        ratio, marker = [method.over(crb).get(n, np.nan) for n in names], MARKERS.get(method.key, "o")
+        colour = COLOURS.get(method.key, GREY)
+        ax.plot(ratio, rows + offset, marker=marker, color=colour, ms=6.0, label=method.label, **look)
+    between = {n: comparison.scatter(identification, n) for n in names}
+    if any(between.values()):
+        ratio = [s[0] / crb.estimates[n].sd if s else np.nan for n, s in between.items()]
         label = f"sd of {len(identification.alone)} manoeuvres fitted alone"
-        ax.plot(ratio, rows, MARKERS["scatter"], label=label, **look)
+        ax.plot(ratio, rows, marker="*", color=COLOURS["scatter"], ms=10.0, zorder=4, label=label, **look)
     ax.set_xscale("log")
     low, high = ax.get_xlim()
-    low, high = min(low, 0.7), max(high, 1.5)
-    ax.set_xlim(low, high)
-    ticks = [m * 10.0**k for k in range(-6, 9) for m in (1, 2, 5)]  # plain numbers
-    ax.set_xticks([t for t in ticks if low <= t <= high])
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.minorticks_off()
+    ax.set_xlim(min(low, 0.7), max(high, 1.5))
     ax.set_yticks(rows, names)
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.set_xlabel("standard deviation / Cramér-Rao standard deviation [-]")
@@ -400,7 +266,253 @@ def crb_vs_credible(identification: Identification) -> Figure:
 CORRELATIONS = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
 CORRELATIONS |= {name: f"correlation_{name}" for name in LATERAL}
 """The figure of a coefficient measured against predicted."""
-FIGURES = {f"{kind}_{engine}": _chains(kind, engine) for engine in ("emcee", "nuts") for kind in ("trace", "rank")}
-FIGURES |= {"pair": pair, "pit": pit_histogram, "fig5_stall_hysteresis": hysteresis}
-FIGURES |= {stem: of_coefficient(_correlation, name) for name, stem in CORRELATIONS.items()}
-FIGURES |= {"next_flight": next_flight, "forest": forest, "crb_vs_credible": crb_vs_credible}
+FIGURES: dict[str, style.Drawing] = {
+    f"{kind}_{engine}": style.housed(partial(_chains, kind=kind, engine=engine))
+    for engine in ("emcee", "nuts")
+    for kind in ("trace", "rank")
+}
+FIGURES |= {
+    "pair": lambda run: pair_of(chosen_posteriors(run)),
+    "pit": pit_histogram,
+    "fig5_stall_hysteresis": hysteresis,
+}
+FIGURES |= {stem: style.housed(partial(_correlation, name=name)) for name, stem in CORRELATIONS.items()}
+FIGURES |= {"forest": forest, "crb_vs_credible": crb_vs_credible}
+
+
+# --- Priors against posteriors.
+
+WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
+
+
+def _densities(ax: Axes, prior: np.ndarray, posteriors: Mapping[str, tuple[str, np.ndarray]], *, log: bool) -> float:
+    """Densities of draws (of their logarithms), posteriors by label with colour; the ratio of prior and posterior sd.
+
+    A posterior's is over its own peak, the prior's over that of the first posterior, so that these two compare.
+    """
+    size = {label: (key, np.log10(x.ravel()) if log else x.ravel()) for label, (key, x) in posteriors.items()}
+    main, of_prior = next(iter(size.values()))[1], np.log10(prior.ravel()) if log else prior.ravel()
+    sd, ends, peak = float(np.std(main)), [], 0.0
+    for label, (key, draws) in size.items():
+        grid, density, _ = array_stats.kde(draws, bw="scott")
+        peak, tails = peak or float(density.max()), np.quantile(draws, [0.001, 0.999])
+        shown = (grid >= tails[0]) & (grid <= tails[1])
+        x, y = 10.0 ** grid[shown] if log else grid[shown], density[shown] / density.max()
+        ax.plot(x, y, color=COLOURS.get(key, "#555555"), lw=1.3, label=label)
+        ends += list(tails)
+    grid, density, _ = array_stats.kde(of_prior, bw="scott")
+    x = 10.0**grid if log else grid
+    ax.fill_between(x, density / peak, color=COLOURS["prior"], alpha=0.6, lw=0.0, label="prior")
+    reach = float(np.clip(2.0 * np.std(of_prior), NARROW * sd, WIDE * sd))
+    low, high = min(np.mean(main) - reach, *ends), max(np.mean(main) + reach, *ends)
+    ax.set(xlim=(10.0**low, 10.0**high) if log else (low, high), ylim=(0.0, 1.08), yticks=[0.0, 0.5, 1.0])
+    return float(np.std(of_prior)) / sd
+
+
+@style.housed
+def prior_posterior(identification: Identification) -> Figure:
+    """Prior and posterior density of every parameter; a panel spans the posterior and says how wide the prior is."""
+    chosen = chosen_posteriors(identification)
+    if not chosen:
+        raise style.NotDrawn("this run has no posterior")
+    shown = {label_of(key): (key, p) for key, p in chosen.items()}
+    if "white" in identification.posteriors:
+        shown["emcee, white noise"] = ("white", identification.posteriors["white"])
+    first = next(iter(chosen.values()))
+    names = ordered(first.names, identification.model.free)
+    figure, axes = style.grid_of(len(names), 4, (3.6, 2.15))
+    for number, (ax, name) in enumerate(zip(axes, names, strict=True)):
+        having = {label: (key, p.tree["posterior"]) for label, (key, p) in shown.items() if name in p.marginals}
+        draws = {label: (key, np.asarray(tree[name])) for label, (key, tree) in having.items()}
+        ratio = _densities(ax, np.asarray(first.tree["prior"][name]), draws, log=False)
+        ax.set_title(f"prior sd = {ratio:.{0 if ratio >= 10.0 else 1}f} × posterior sd", fontsize=8.0, color="#333333")
+        ax.set_xlabel(f"{name} {bracket(unit_of(identification, name))}", labelpad=1)
+        if number % 4 == 0:
+            ax.set_ylabel("density / peak [-]")
+    style.legend_below(figure, axes[0])
+    figure.suptitle(f"Prior against posterior, {label_of(identification.noise)} noise")
+    return figure
+
+
+@style.housed
+def gp_prior_posterior(identification: Identification) -> Figure:
+    """Prior against posterior of every hyperparameter (log scale): a row each, a column per coefficient."""
+    if identification.gp is None:
+        raise style.NotDrawn("this run has no Gaussian process")
+    trees = {name: fit.posterior for name, fit in identification.gp.fits.items() if fit.posterior is not None}
+    if not trees:
+        raise style.NotDrawn("no Gaussian process has an accepted posterior of its hyperparameters")
+    draws = {
+        name: (_hyperparameters(tree, "prior"), _hyperparameters(tree, "posterior")) for name, tree in trees.items()
+    }
+    hypers = list(dict.fromkeys(h for _, posterior in draws.values() for h in posterior))
+    figure, axes = style.panels(len(hypers), len(draws), (4.2 * len(draws) + 0.4, 1.6 * len(hypers) + 1.2))
+    for column, (name, (prior, posterior)) in zip(axes.T, draws.items(), strict=True):
+        column[0].set_title(f"{name}: k-hat = {float(trees[name].attrs.get('k_hat', np.nan)):.2f}")
+        for ax, (kind, channel) in zip(column, hypers, strict=True):
+            ax.set_xscale("log")
+            _densities(ax, prior[kind, channel], {"posterior": ("gpr", posterior[kind, channel])}, log=True)
+            # a length scale has its input's unit, a slope its inverse
+            si = STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else "SI unit" if channel else "1"
+            inverse = f"1/({si})" if "/" in si else f"1/{si}"
+            unit = si if kind == "length_scale" or si == "1" else inverse
+            ax.set_xlabel(f"{f'{kind}[{channel}]' if channel else kind} {bracket(unit)}", labelpad=1)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("density / peak [-]")
+    style.legend_below(figure, axes[0, 0])
+    figure.suptitle("GP hyperparameters, prior against posterior\n(densities of the logarithm)")
+    return figure
+
+
+def _hyperparameters(tree: xr.DataTree, group: str) -> dict[tuple[str, str], np.ndarray]:
+    draws = {}
+    for name, values in tree[group].to_dataset().data_vars.items():
+        if "input" in values.dims:
+            draws |= {(str(name), str(x)): values.sel(input=x).values for x in values.coords["input"].values}
+        else:
+            draws[str(name), ""] = values.values
+    return draws
+
+
+# --- Number of effects that need each recorded channel.
+
+KINDS = ("mle", "gpr", "emcee", "nuts", "crb_corrected", "white")  # roles whose colours kinds of effects take, in turn
+
+
+def needed(found: Sequence[Mapping[str, Any]]) -> dict[str, Counter[str]]:
+    """By channel, the effects that need it by kind; the most needed first."""
+    counts: dict[str, Counter[str]] = {}
+    for effect in found:
+        for channel in effect["needs"]:
+            counts.setdefault(channel, Counter())[effect["kind"]] += 1
+    return dict(sorted(counts.items(), key=lambda item: (-item[1].total(), item[0])))
+
+
+@style.housed
+def channels_needed(found: Sequence[Mapping[str, Any]]) -> Figure:
+    """A bar for each channel, a colour for each kind of effect; `found` as the catalogue describes them."""
+    counts = needed(found)
+    if not counts:
+        raise style.NotDrawn("no effect needs a channel")
+    kinds = [kind for kind, _ in Counter(effect["kind"] for effect in found).most_common()]
+    figure, axes = style.panels(1, 1, (7.2, 0.9 + 0.2 * len(counts)))
+    ax = axes[0, 0]
+    rows = range(len(counts))
+    begin = [0] * len(counts)
+    for number, kind in enumerate(kinds):
+        widths = [by_kind[kind] for by_kind in counts.values()]
+        if any(widths):
+            colour = COLOURS[KINDS[number % len(KINDS)]]
+            ax.barh(rows, widths, left=begin, height=0.7, color=colour, label=kind)
+            begin = [a + b for a, b in zip(begin, widths, strict=True)]
+    for row, total in zip(rows, begin, strict=True):
+        ax.text(total + 0.15, row, str(total), va="center", fontsize=8.0)
+    ax.set_yticks(rows, [channel.replace("_", " ") for channel in counts])
+    ax.invert_yaxis()
+    ax.grid(visible=False, axis="y")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set_xlabel("effects that need the channel [-]")
+    ax.legend(title="kind of effect", loc="lower right")
+    return figure
+
+
+# --- The stall: recorded lift and drag with the steady curves, and the separation point with its band.
+
+BAND: dict[str, Any] = {"alpha": 0.25, "lw": 0.0}
+RATE_COLOURS = ("falling", "measured", "rising")
+StallModel = tuple[str, str, Mapping[str, Any], "Stall"]
+"""Title, colour, what was flown (alpha, alpha_dot, measured and modelled coefficients) and the stall of a model."""
+
+
+def _of_run(run: Identification) -> tuple[list[StallModel], np.ndarray, float]:
+    """The one model of a run, the manoeuvre of each sample, and the interval of samples."""
+    if run.stall is None:
+        raise style.NotDrawn("the stall was not computed: that needs a posterior that converged")
+    o = run.observations
+    flown = {"alpha": o.signals["alpha"], "alpha_dot": o.signals["alpha_dot"], "measured": o.measured}
+    return [("", COLOURS["mle"], flown | {"modelled": run.fitted}, run.stall)], o.manoeuvre, o.dt
+
+
+def _of_view(view: View) -> tuple[list[StallModel], np.ndarray, float]:
+    """The same of the card's model and, where there is one, the extended one, with the sensors as it corrects them."""
+    if not view.stalls:
+        raise style.NotDrawn("the stall was not computed")
+    both = ("card", COLOURS["before"], view.card), ("extended", COLOURS["after"], view.extended)
+    models = [(MODELS[key], colour, m.signals, view.stalls[key]) for key, colour, m in both if key in view.stalls]
+    return models, view.manoeuvre, view.seconds
+
+
+def _stall(models: Sequence[StallModel], manoeuvre: np.ndarray, seconds: float) -> Figure:
+    """Lift over the angle of attack, where the time was spent, and the polar; a pair of rows for each model."""
+    rows = len(models)
+    figure, axes = style.panels(2 * rows, 2, (10.5, 5.0 * rows + 0.7), height_ratios=(4, 1) * rows, width_ratios=(3, 2))
+    for number, (title, colour, flown, s) in enumerate(models):
+        (lift, polar), (time, spare) = axes[2 * number], axes[2 * number + 1]
+        spare.remove()
+        whose, alpha, measured = (
+            f", {title}" if title else "",
+            np.rad2deg(flown["alpha"]),
+            np.asarray(flown["measured"]),
+        )
+        rising, degrees = np.asarray(flown["alpha_dot"]) > 0.0, np.rad2deg(s.alpha)
+        for key, mask in (("rising", rising), ("falling", ~rising)):
+            dots: dict[str, Any] = {"marker": ".", "ls": "none", "alpha": 0.5, "color": COLOURS[key]}
+            lift.plot(alpha[mask], measured[mask, 0], ms=2.5, label=f"measured, α {key}", **dots)
+            polar.plot(measured[mask, 1], measured[mask, 0], ms=2.0, **dots)
+        for k in range(int(manoeuvre[-1]) + 1):
+            mine, label = manoeuvre == k, None if k else "fitted, as flown"
+            lift.plot(alpha[mine], flown["modelled"][mine, 0], color="#555555", lw=0.5, alpha=0.8, label=label)
+        lift.fill_between(degrees, s.CL[0], s.CL[2], color=colour, label=f"steady flow, 95 % band{whose}", **BAND)
+        lift.plot(degrees, s.CL[1], color=colour, lw=1.8, label=f"steady flow (α̇ = 0){whose}")
+        polar.plot(s.CD[1], s.CL[1], color=colour, lw=1.8)
+        place = {"x": 0.97, "y": 0.05, "transform": lift.transAxes, "ha": "right", "fontsize": 9.0}
+        if s.seen:
+            x, y = np.rad2deg(s.alpha_max.median), s.CL_max.median
+            low, high = np.rad2deg([s.alpha_max.low, s.alpha_max.high])
+            ends = {"xerr": [[x - low], [high - x]], "yerr": [[y - s.CL_max.low], [s.CL_max.high - y]]}
+            look = {"fmt": "o", "ms": 5.0, "color": "black", "mec": "white", "capsize": 3.0, "zorder": 6}
+            lift.errorbar(x, y, **ends, **look, label="CLmax and its angle, 95 %")
+            lift.text(s=f"CLmax {y:.3f}\nat {x:.1f} deg", **place)
+        else:
+            lift.text(s=f"{s.at_edge:.0%} of the draws have their\nmaximum at the edge of the angles flown", **place)
+        lift.set(ylabel="CL [-]", title=f"Lift{whose}")
+        lift.tick_params(labelbottom=False)
+        edges = np.arange(np.floor(alpha.min()), np.ceil(alpha.max()) + 1.0)
+        time.hist(alpha, bins=edges, weights=np.full(len(alpha), seconds), color=COLOURS["candidate"])
+        time.set(xlabel="α [deg]", ylabel="time [s/deg]")
+        time.sharex(lift)
+        polar.set(xlabel="CD [-]", ylabel="CL [-]", title=f"Drag polar{whose}")
+    entries: dict[str, Any] = {}  # one legend for all models
+    for ax in axes[::2, 0]:
+        handles, labels = ax.get_legend_handles_labels()
+        entries = dict(zip(labels, handles, strict=True)) | entries
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _separation(models: Sequence[StallModel], *_: Any) -> Figure:
+    """The separation point over the angle of attack at three rates of it; a panel for each model."""
+    figure, axes = style.panels(1, len(models), (6.2 * len(models) if len(models) > 1 else 7.5, 4.2), sharey=True)
+    for ax, (title, _colour, flown, s) in zip(axes[0], models, strict=True):
+        degrees, alpha = np.rad2deg(s.alpha), np.rad2deg(np.asarray(flown["alpha"]))
+        for rate, band, key in zip(s.rates, s.X, RATE_COLOURS, strict=True):
+            ax.fill_between(degrees, band[0], band[2], color=COLOURS[key], **BAND)
+            label = f"α̇ = {np.rad2deg(rate):+.1f} deg/s" if rate else "α̇ = 0 (steady)"
+            ax.plot(degrees, band[1], color=COLOURS[key], ls="--" if rate > 0.0 else "-", lw=1.5, label=label)
+        ax.plot(alpha, np.full_like(alpha, -0.04), "|", ms=4.0, alpha=0.08, color="black")
+        ax.set(xlabel="α [deg]", ylim=(-0.07, 1.05), title=title or "Separation point")
+        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 0.08))
+    axes[0, 0].set_ylabel("separation point X [-] (1 attached, 0 separated)")
+    return figure
+
+
+FIGURES |= {
+    "prior_posterior": prior_posterior,
+    "gp_prior_posterior": gp_prior_posterior,
+    "stall": style.housed(lambda run: _stall(*_of_run(run))),
+    "separation": style.housed(lambda run: _separation(*_of_run(run))),
+}
+DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
+    "stall_models": style.housed(lambda view: _stall(*_of_view(view))),
+    "separation_models": style.housed(lambda view: _separation(*_of_view(view))),
+}

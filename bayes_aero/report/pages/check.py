@@ -12,9 +12,7 @@ import numpy as np
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import Agreement
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Facts, HtmlTable, Picture, Plot, Report, Section, fold, page_table, section
-from bayes_aero.report.html.plots import SAMPLE, TIME, Line, Panel
+from bayes_aero.report.page import Facts, HtmlTable, Picture, Plot, Report, Section, fold, page_table, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.phrases import (
     bracket,
@@ -26,6 +24,7 @@ from bayes_aero.report.phrases import (
     symbol,
     unit_behind,
 )
+from bayes_aero.report.plots import COLOURS, SAMPLE, TIME, Line, Panel
 from bayes_aero.report.table import Column, Table, columns_of
 from bayes_aero.units import number
 
@@ -167,8 +166,8 @@ def recorded(records: Sequence[FlightRecord]) -> tuple[Plot | str, ...]:
         known = {n: for_people(STANDARD_CHANNELS[n].unit) for n in CHANNELS if record.has(n)}
         panels = [_panel(symbol(n), unit, factor * record[n]) for n, (unit, factor) in known.items()]
         if panels:
-            key, legend = f"time-recorded-{order}", (("recorded", COLOURS["measured"], "solid"),)
-            plots.append(parts.histories(record.name, key, record.time, panels, legend, "Recorded channels"))
+            what = "Recorded channels"
+            plots.append(parts.histories(record.name, f"time-recorded-{order}", record.time, panels, what))
     return (*plots, remark)
 
 
@@ -185,7 +184,7 @@ def _sensors(report: CheckReport) -> tuple[Any, ...]:
     head = ("error", "claim", "size ± sd", "remark")
     table = HtmlTable("Errors estimated along the flight path", head, rows, words=(1, 2, 3)).lean()
     left = left_over(report)
-    return said, parts.open_list(report.consistency), table if rows else None, f"{left[:1].upper()}{left[1:]}."
+    return said, table if rows else None, f"{left[:1].upper()}{left[1:]}."
 
 
 def _channels(report: CheckReport) -> list[Any]:
@@ -267,8 +266,7 @@ def _drawn(view: StarterView, key: str, title: str, said: str, panels: Sequence[
     longest = max((len(p.lines[0].values) for p in panels), default=0)
     x, over = (np.asarray(time), TIME) if known else (np.arange(longest, dtype=float), SAMPLE)
     shown = [p for p in panels if len(p.lines[0].values) == len(x) > 1][:MOST_PANELS]
-    legend = ((said, COLOURS["measured"], "solid"),)
-    return parts.histories(view.record, key, x, shown, legend, title, over) if shown else None
+    return parts.histories(view.record, key, x, shown, f"{title}, {said},", over) if shown else None
 
 
 def _guesses(taken: Sequence[Taken]) -> tuple[Any, ...]:
@@ -324,7 +322,7 @@ def simulated_page(
         return (
             HtmlTable("True parameters, SI and radians", ("parameter", "value", "remark"), rows, words=(2,)).lean(),
             HtmlTable(title, ("", "value"), tuple(noise)),
-            parts.symbols(parameters, [p.name for p in parameters]),
+            parts.symbols(card, parameters, [p.name for p in parameters]),
         )
 
     return Report(
@@ -398,10 +396,7 @@ def shown(value: Any) -> str:
 
 
 def effects_page(
-    found: Sequence[Described],
-    source: Mapping[str, Any],
-    aircraft: str | None = None,
-    pictures: Sequence[Picture] = (),
+    found: Sequence[Described], source: Mapping[str, Any], aircraft: str | None = None, pictures: Sequence[Picture] = ()
 ) -> Report:
     """The page; `aircraft` is the title of the card, if any."""
     if len(found) == 1:
@@ -428,7 +423,7 @@ def effects_page(
 
 def picture_words(found: Sequence[Described]) -> tuple[str, str]:
     """Caption and alternative text of the picture of channels."""
-    from bayes_aero.report.figures.prior import needed  # matplotlib, which a check on a terminal does not need
+    from bayes_aero.report.figures.posterior import needed  # matplotlib, which a check on a terminal does not need
 
     listed = several(f"{channel} by {kinds.total()}" for channel, kinds in needed(found).items())
     return (

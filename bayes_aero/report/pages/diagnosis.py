@@ -1,50 +1,319 @@
-"""What a diagnosis shows: tables of causes and candidates, both models side by side; its page."""
+"""What a diagnosis says and shows: verdict, causes, what stays unexplained, tables, both models; its page."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pandas as pd
 
+from bayes_aero.effect import Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report.figures.diagnosis import coefficient_panels, telling
-from bayes_aero.report.html.page import Gallery, Report, Section, Text, fold, section
+from bayes_aero.report.page import Gallery, Report, Text, fold, section
 from bayes_aero.report.pages import parts
-from bayes_aero.report.pages.estimates import band_text
-from bayes_aero.report.pages.findings import diagnosis_sentences, findings, in_band_sentences, sentences
+from bayes_aero.report.pages.estimates import LIMIT, band_text, sign_sentences
 from bayes_aero.report.pages.qualification import points_sentences, points_table
-from bayes_aero.report.pages.trajectories import simulation_gain, trajectories, trajectory_sentences
+from bayes_aero.report.pages.trajectories import gust_sentences, simulation_gain, trajectories, trajectory_sentences
 from bayes_aero.report.phrases import (
     WORDS,
+    amounts,
     bracket,
     filled,
     for_people,
     from_to,
+    not_testable_sentences,
     plain_unit,
     sentence,
     several,
     size_text,
+    symbol,
 )
-from bayes_aero.report.table import (
-    NONE,
-    BeforeAfter,
-    Column,
-    Estimate,
-    Table,
-    columns_of,
-    in_brackets,
-    or_dash,
-    parameter_columns,
-    table,
-)
+from bayes_aero.report.plots import MODELS
+from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, in_brackets, or_dash, table
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import Cause, CausesInBand, Diagnosis, DiagnosisView, HoldoutScores, Ranking, View
+    from bayes_aero.diagnosis.result import (
+        Cause,
+        CausesInBand,
+        Diagnosis,
+        DiagnosisView,
+        HoldoutScores,
+        ParameterChange,
+        Ranking,
+        Size,
+        Tested,
+        Trajectories,
+        View,
+    )
+    from bayes_aero.flight.card import Card
 
-NOTES = WORDS["notes"]
+
+SHOWN = 4  # other terms that are named
+MAX_SIZED = 3  # causes whose sizes are in the verdict
+
+
+def sentences(view: DiagnosisView) -> list[str]:
+    """The findings, one sentence or two each: verdict, causes, unexplained structure, what is not testable."""
+    return diagnosis_sentences(view.diagnosis, view.trajectories)
+
+
+def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
+    """As `sentences`, of a diagnosis alone."""
+    return [text for listed in findings(d, flown).values() for text in listed]
+
+
+def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[str]]:
+    """The sentences by what they are on, in the order of reading."""
+    bases = {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}
+    beside = " in comparison with the unexplained structure" if d.left else ""
+    return {
+        "verdict": [verdict_sentence(d)],
+        "gusts": gust_sentences(d.gusts),
+        "tested": tested_sentences(d),
+        "signs": sign_sentences(bases, d.parameters, d.following),
+        "causes": [_cause(cause) for cause in d.causes],
+        "next step": _taken_over(d),
+        "cancelling": [sentence("cancelling", pair=p, size=(p.mean, p.sd)) for p in d.together],
+        "absorbed": [
+            sentence("absorbed", a=a, sizes=" or ".join(f"{n} {_size(x)}" for n, x in a.sizes.items()))
+            for a in d.absorbed
+        ],
+        "beyond": _beyond(d),
+        "minor": [sentence("minor", beside=beside, names=d.minor)] if d.minor else [],
+        "unexplained": _unexplained(d),
+        "terms": _terms(d),
+        "changes": change_sentences(d.changes),
+        "noise": _noise(d),
+        "not testable": not_testable_sentences(d.not_testable),
+        "trajectories": [] if flown is None else trajectory_sentences(flown),
+        "notes": list(d.notes),
+    }
+
+
+def _beyond(d: Diagnosis) -> list[str]:
+    """What is left out of the model: larger than on any aircraft, then what was estimated together with that."""
+    large, joint = [], []
+    for c, (name, x) in [(cause, item) for cause in d.beyond for item in cause.parameters.items()]:
+        about = {"name": name, "x": x, "size": (x.mean, x.sd)}
+        limits = {n: (c.implausible[n], 0.0) for n in (name, f"1/{name}") if n in c.implausible}
+        large += [sentence("too_large", **about, large=n, most=most) for n, most in limits.items()]
+        joint += [] if c.implausible else [sentence("not_alone", **about, joint=parts.joint_text(c.joint))]
+    return large + joint
+
+
+def _size(x: Size) -> str:
+    return size_text(x.mean, x.sd, x.unit)
+
+
+def _cause(cause: Cause) -> str:
+    text = [f"{cause.name}: {cause.claim}"]
+    if cause.ambiguous_with:
+        gains = {n: f"{gain:+z.1f} ± {sd:.1f}" for n, (gain, sd) in cause.rival_gains.items()}
+        place = {n: f" (in its place: log density of hold-out data {gain})" for n, gain in gains.items()}
+        rivals = [f"{name}{place.get(name, '')}" for name in cause.ambiguous_with]
+        text.append(sentence("as_well", rivals=rivals))
+    if cause.joint:
+        text.append(sentence("estimated_together", joint=parts.joint_text(cause.joint)))
+    if cause.bounded:
+        text.append(f"{several(cause.bounded)} is at a parameter bound: suspect another cause.")
+    for name, largest in cause.implausible.items():
+        unit = cause.parameters[name].unit if name in cause.parameters else "1"
+        text.append(sentence("implausible", name=name, most=(largest, 0.0), unit=unit))
+    if cause.hardly_excited:
+        share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"
+        text.append(sentence("hardly_excited", share=share))
+    if not cause.excited:
+        text.append("Not every manoeuvre excites it.")
+    lost, sd = cause.missed
+    if np.isfinite(lost) and cause.confirmed:
+        text.append(f"Removing it degrades hold-out prediction: log density {-lost:+z.1f} ± {sd:.1f}.")
+    elif np.isfinite(lost):
+        model = "simulation" if cause.stage == "flight path" else "extended model"
+        text.append(f"Hold-out data do not confirm it ({_why_not_confirmed(cause)}); the {model} omits it.")
+    return " ".join(text)
+
+
+def _why_not_confirmed(cause: Cause) -> str:
+    gain, (lost, sd) = cause.gain, cause.missed
+    if worse := [f"{name} {change:+z.1f} ± {se:.1f}" for name, (change, se) in gain.degraded.items()]:
+        return f"with it they are predicted worse: log density of {several(worse)}"
+    if lost > 0.0 and gain.elpd < 0.0:
+        return f"beside the causes before it: log density {gain.elpd:+z.1f} ± {gain.elpd_se:.1f}"
+    return f"removed: log density {-lost:+z.1f} ± {sd:.1f}"
+
+
+def _taken_over(d: Diagnosis) -> list[str]:
+    """How to put the causes that the verdict rests on into the card."""
+    clear = {c.name: c for c in d.causes if c.sure and not c.ambiguous_with}
+    sure = [name for name, c in clear.items() if name in CATALOGUE and set(c.joint) <= set(clear)]
+    fitted = [name for name in sure if CATALOGUE[name].stage > Stage.AIRCRAFT]
+    errors = [name for name in sure if name not in fitted]
+    both = {"include_effects": fitted, "correct_errors": errors}
+    return [sentence(key, names=names) for key, names in both.items() if names]
+
+
+def _unexplained(d: Diagnosis) -> list[str]:
+    """Along trajectories an effect may be true and fail its test, which is less powerful than that of the terms."""
+    texts, none = [], "explains this" if d.tested is None else "passes its own test along the trajectories"
+    for u in d.unknown:
+        rivals = several(u.rivals)
+        if u.offsets:
+            sizes = [f"{name} {size_text(x, sd, '1')}" for name, (x, sd) in u.offsets.items()]
+            alike = f" {rivals} would explain them about as well and cannot be told from them." if rivals else ""
+            texts.append(sentence("offset", u=u, sizes=sizes, alike=alike))
+        else:
+            texts.append(sentence("unattributed" if rivals else "unexplained", u=u, rivals=rivals, none=none))
+    return texts
+
+
+def _terms(d: Diagnosis) -> list[str]:
+    texts = []
+    for t in d.terms:
+        past = "" if t.term.code is not None else " It depends on the past, which no effect file can state."
+        others = several([f"{term.name} ({weight:.0%})" for term, weight in t.others], SHOWN)
+        alike = f"These records do not tell it ({t.weight:.0%}) from {others}."
+        none = "No other term of the library is as good."
+        texts.append(sentence("term", t=t, past=past, alike=alike if t.others else none))
+    return texts + ([sentence("write_terms")] if any(t.term.code is not None for t in d.terms) else [])
+
+
+def _noise(d: Diagnosis) -> list[str]:
+    texts, noise = [], d.noise
+    if noise.of_innovations and noise.coloured:
+        lags = [f"{name} ({noise.lag1[name]:.2f})" for name in noise.coloured]
+        texts.append(sentence("coloured_innovations", names=lags, more=""))
+    elif "colored" in noise.labels:
+        texts.append(sentence("coloured_noise", lags=", ".join(f"{name} {x:.2f}" for name, x in noise.lag1.items())))
+    if "buffet" in noise.labels:
+        growth = ", ".join(f"{name} {value:.1f} times" for name, value in noise.noise_growth.items() if value > 1.05)
+        texts.append(sentence("growing_noise", growth=growth))
+    if "outliers" in noise.labels:
+        texts.append(
+            f"Noise: outliers were replaced ({', '.join(f'{k} {n}' for k, n in noise.outliers.items() if n)})."
+        )
+    return texts
+
+
+def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:
+    """The hidden effects, and whether they were found."""
+    texts = []
+    for name, values in effects.items():
+        units = {p.name: p.unit for p in CATALOGUE[name].parameters}
+        sizes = several(f"{key} = {size_text(x, 0.0, units[key])}" for key, x in values.items())
+        texts.append(f"Hidden effect: {name} ({sizes}). {WORDS['revealed'][named[name]]}")
+    return texts
+
+
+def change_sentences(changes: Sequence[ParameterChange]) -> list[str]:
+    """Parameters that change according to a diagnosis: when, by how much, and possible reasons."""
+    texts = []
+    for c in changes:
+        begin, end = c.interval
+        span = f" (95 %: {begin:.1f} to {end:.1f} s)" if end > begin else ""
+        when = f"at {c.at:.1f} s of {c.manoeuvre}{span}"
+        if c.between:
+            when = f"from {c.manoeuvre} on" if c.lasts else f"in {c.manoeuvre}"
+        back, reasons = "" if c.lasts else ", and the value before in later records", WORDS["reasons"].get(c.parameter)
+        text = [sentence("changed", c=c, when=when, back=back)]
+        text += [sentence("as_well", rivals=c.ambiguous_with)] if c.ambiguous_with else []
+        text += [sentence("reasons", reasons=reasons)] if reasons else []
+        texts.append(" ".join(text))
+    return texts
+
+
+# --- The verdict. It rests on causes that are confirmed, probable and of plausible size.
+
+
+def verdict_sentence(d: Diagnosis) -> str:
+    """The causes that explain the model error, those that are only named, and the unexplained structure."""
+    sure = [c for c in d.causes if c.sure]
+    names = f": {several(_named(c, len(sure) <= MAX_SIZED) for c in sure)}{_doubtful(d)}"
+    changes = [f"{c.parameter} changes {'at' if c.between else 'in'} {c.manoeuvre}" for c in d.changes]
+    structure = {
+        f"{u.coefficient} {'between' if u.offsets else 'over'} {u.channel}{'s' if u.offsets else ''}" for u in d.unknown
+    }
+    unknown = several([*sorted(structure), *dict.fromkeys(changes)])
+    left = f" ({unknown})" if unknown else ""
+    if d.tested is not None:
+        return _flown_verdict(d, d.tested, len(sure), names, left)
+    key = "nothing_explains" if d.verdict == "unexplained" and not d.causes else d.verdict.value
+    return sentence(f"verdict_{key}", n=len(sure), names=names, left=left, doubtful=_doubtful(d))
+
+
+def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: str) -> str:
+    """The same from trajectories alone: causes explain the error only if the residual is sensor noise."""
+    sought = sentence("structure_remains" if d.unknown else "no_structure", left=left)
+    sizes, where = "", ""
+    if tested.beyond:  # on hold-out flights where there are any
+        unseen = all(math.isfinite(tested.outputs[name].unseen) for name in tested.beyond)
+        missed = {n: tested.outputs[n].unseen if unseen else tested.outputs[n].fitted for n in tested.beyond}
+        sizes = several(f"{symbol(name)} {_rms(name, x)}" for name, x in missed.items())
+        where = "on hold-out flights, " if unseen else ""
+    key = "errors_remain" if tested.beyond else "within_noise" if tested.outputs else "error_not_computed"
+    rest = sentence(key, where=where, sizes=sizes, sought=sought)
+    if sure:
+        key = "flown_explain" if d.verdict == "explained" else "flown_improve"
+        return f"{sentence(key, n=sure, names=names)} {rest}"
+    first = "flown_no_reliable" if d.causes else "flown_no_improvement"
+    more = f" {sentence('flown_undecided')}" if d.verdict == "undecided" else ""
+    return f"{sentence('flown_no_error' if d.verdict == 'no_effect' else first)}{_doubtful(d)}. {rest}{more}"
+
+
+def _rms(output: str, value: float) -> str:
+    return "".join(amounts(STANDARD_CHANNELS[output].unit, value))
+
+
+def tested_sentences(d: Diagnosis) -> list[str]:
+    """The error of each output against the noise of its sensor, from trajectories alone."""
+    if d.tested is None or not d.tested.outputs:
+        return []
+    of = d.tested.outputs
+    listed = [f"{symbol(n)} {_rms(n, miss.fitted)} (noise {_rms(n, miss.noise)})" for n, miss in of.items()]
+    beyond = [symbol(name) for name in d.tested.beyond]
+    return [sentence("tested", listed=listed), *([sentence("tested_beyond", names=beyond)] if beyond else [])]
+
+
+def _named(cause: Cause, sized: bool) -> str:
+    sizes = ", ".join(_size(x) for x in cause.parameters.values()) if sized else ""
+    rivals = f"or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
+    text = ", ".join(part for part in (sizes, rivals) if part)
+    return f"{cause.name} ({text})" if text else cause.name
+
+
+def _doubtful(d: Diagnosis) -> str:
+    reasons: dict[str, list[str]] = {}
+    for cause in (c for c in d.causes if not c.sure):
+        why = "named, but no more probable than its rivals"
+        if cause.bounded:
+            why = "at a parameter bound: suspect another cause"
+        elif cause.implausible:
+            why = "larger than on any aircraft: suspect another cause"
+        elif not cause.confirmed:
+            why = f"named, but not {'confirmed' if math.isfinite(cause.missed[0]) else 'tested'} on hold-out data"
+        reasons.setdefault(why, []).append(_named(cause, sized=False))
+    return "".join(f"; {why}: {several(names)}" for why, names in reasons.items())
+
+
+def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
+    """Whether the band confirms the causes."""
+    if sizes is None:
+        return ()
+    band = band_text(sizes)
+    if not sizes.converged:
+        return (f"The causes could not be fitted from {band}: the band does not determine them.",)
+    apart = [s for s in sizes.sizes if s.apart > LIMIT]
+    agree = dict.fromkeys(s.cause for s in sizes.sizes if s.cause not in {a.cause for a in apart})
+    texts = [sentence("band_agrees", band=band, names=agree)] if agree else []
+    for s in apart:
+        inside, whole = (in_brackets(Estimate.normal(*size)) for size in (s.in_band, s.coefficients))
+        texts.append(sentence("band_differs", s=s, band=band, inside=inside, whole=whole))
+    return (*texts, *([f"The band does not show {several(sizes.unseen)}."] if sizes.unseen else []))
 
 
 # --- Tables: causes, changes, terms, candidates.
@@ -59,19 +328,23 @@ def causes_table(d: Diagnosis) -> Table:
     def each(get: Callable[[Any], Any], *heads: Any, **how: Any) -> Column:
         return column(lambda c: [get(size) for size in c.parameters.values()], *heads, **how)
 
-    def score(name: str, kind: str) -> Column:
-        files = tuple(f"{name}_{kind}_{when}" for when in ("before", "after"))
-        head = f"R² {name}" if kind == "r2" and name in shown else None
-        return column(lambda c: _change(c, name, kind), files, None, head, ".2f")
+    def change(c: Cause, name: str, kind: str) -> BeforeAfter | None:
+        both = c.gain.before, c.gain.after
+        return BeforeAfter(*(getattr(of[name], kind) for of in both)) if name in c.gain.before else None
 
     names = dict.fromkeys(name for c in d.causes for name in c.gain.before)
-    shown: Sequence[str] = ()
-    if d.by_coefficients:  # those whose R² any of the causes changes most
-        pairs = {name: [x for c in d.causes if (x := _change(c, name, "r2")) is not None] for name in names}
-        sizes = {n: [abs(b - a) for a, b in found if a is not None and b is not None] for n, found in pairs.items()}
-        shown = sorted(names, key=lambda name: -max(map(float, np.nan_to_num(sizes[name])), default=0.0))
-        shown = shown[:ON_A_TERMINAL]
+    pairs = {n: [x for c in d.causes if (x := change(c, n, "r2")) and None not in x] for n in names}
+    largest = {
+        n: max((abs(np.nan_to_num(np.subtract(b, a))) for a, b in found), default=0.0) for n, found in pairs.items()
+    }
+    shown = sorted(names, key=lambda n: -largest[n])[:ON_A_TERMINAL] if d.by_coefficients else []
+    scores = []
+    for n, kind in ((n, kind) for n in names for kind in ("r2", "rmse")):
+        files, head = (f"{n}_{kind}_before", f"{n}_{kind}_after"), f"R² {n}" if kind == "r2" and n in shown else None
+        scores.append(column(lambda c, n=n, kind=kind: change(c, n, kind), files, None, head, ".2f"))
     if_removed = "hold-out data\nif removed" if any(np.isfinite(c.missed[0]) for c in d.causes) else None
+    removed = [f"{-c.missed[0]:+z.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE for c in d.causes]
+    removed = [text if c.confirmed else f"{text} *" for text, c in zip(removed, d.causes, strict=True)]
     rivals = "rivals", None if d.by_coefficients else "rivals"
     columns = [
         Column(range(1, len(d.causes) + 1), "order"),
@@ -90,22 +363,21 @@ def causes_table(d: Diagnosis) -> Table:
         column(lambda c: " ".join(c.ambiguous_with), "ambiguous_with"),
         column(lambda c: (c.gain.elpd, c.gain.elpd_se), ("elpd", "elpd_se")),
         column(lambda c: Estimate(-c.missed[0], c.missed[1]), ("taken_out_elpd", "taken_out_elpd_se")),
-        column(lambda c: c, page=if_removed, form=_if_removed),
+        Column(removed, page=if_removed),
         column(lambda c: several(c.ambiguous_with), "", *rivals, or_dash, str),
-        *(score(name, kind) for name in names for kind in ("r2", "rmse")),
+        *scores,
     ]
     if d.by_coefficients:
         most = f"R² of the {len(shown)} coefficients that change most. " if 0 < len(shown) < len(names) else ""
         return table("causes", columns, split=WORDS["splits"][d.split], most=most)
     source = "innovations" if d.compared == "innovations" else "trajectories alone"
-    unsure = "" if all(c.sure for c in d.causes) else NOTES["causes_flown"]
+    unsure = "" if all(c.sure for c in d.causes) else WORDS["notes"]["causes_flown"]
     return table("causes_flown", columns, source=source, unsure=unsure)
 
 
 def _sizes(c: Cause) -> list[str]:
-    """Sizes, with names where there are several."""
     texts = {name: size_text(s.mean, s.sd, s.unit).replace("c/V", "chords") for name, s in c.parameters.items()}
-    return [f"{name} {text}" for name, text in texts.items()] if len(texts) > 1 else list(texts.values())
+    return [f"{name} {text}" if len(texts) > 1 else text for name, text in texts.items()]
 
 
 def _interval(s: Any) -> str:
@@ -118,22 +390,13 @@ def probability(value: float) -> str:
     return "> 0.99" if value > 0.99 else f"{value:.2f}"
 
 
-def _if_removed(c: Cause) -> str:
-    text = f"{-c.missed[0]:+z.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE
-    return text if c.confirmed else f"{text} *"
-
-
-def _change(c: Cause, name: str, kind: str) -> BeforeAfter | None:
-    """A score of a coefficient on hold-out data without and with a cause."""
-    if name not in c.gain.before:
-        return None
-    return BeforeAfter(getattr(c.gain.before[name], kind), getattr(c.gain.after[name], kind))
-
-
 def changes_table(d: Diagnosis) -> Table:
     """A row for each parameter that takes another value during the records, in files SI and radians."""
-    column, parts_ = columns_of(d.changes), ("before", "after", "size")
-    heads = {"before": "before", "after": "after", "size": "change"}
+    column, sizes = columns_of(d.changes), []
+    for n, head in (("before", "before"), ("after", "after"), ("size", "change")):
+        sizes.append(column(lambda c, n=n: Estimate(*getattr(c, n)), (n, f"{n}_sd")))
+        texts = [filled("{x:±{unit}}", x=getattr(c, n), unit=c.unit) for c in d.changes]
+        sizes.append(Column(texts, page=head, terminal=head))
     columns = [
         column(lambda c: c.parameter, "parameter", "parameter", "parameter"),
         column(lambda c: c.unit, "unit"),
@@ -142,11 +405,7 @@ def changes_table(d: Diagnosis) -> Table:
         column(lambda c: BeforeAfter(*c.interval), ("at_low", "at_high")),
         column(lambda c: from_to(c.interval[0], c.interval[1], 0.5), page="95 % interval, s"),
         column(lambda c: c.lasts, "lasts"),
-        *(column(lambda c, n=n: Estimate(*getattr(c, n)), (n, f"{n}_sd")) for n in parts_),
-        *(
-            column(lambda c, n=n: filled("{x:±{unit}}", x=getattr(c, n), unit=c.unit), page=head, terminal=head)
-            for n, head in heads.items()
-        ),
+        *sizes,
         column(lambda c: c.share, "share"),
         column(lambda c: c.p_value, "p_value", "p", "p", 2),
         column(lambda c: c.gain, "elpd", "hold-out gain", None, ".1f"),
@@ -217,9 +476,7 @@ def gain_table(view: DiagnosisView) -> Table | None:
     for when, scores in zip(("before", "after"), view.unseen_scores, strict=True):
         columns.append(Column([scores[name].r2 for name in names], page=f"R² {when}", form=".3f"))
         columns.append(Column([scores[name].rmse for name in names], page=f"RMSE {when} [-]", form=".4f"))
-    by_manoeuvre = view.diagnosis.split == "manoeuvre"
-    what = "each manoeuvre predicted from the others" if by_manoeuvre else "each block from the others"
-    return table("gain", columns, what=what)
+    return table("gain", columns, what=WORDS["splits"][view.diagnosis.split])
 
 
 def holdout_table(unseen: HoldoutScores) -> Table:
@@ -242,78 +499,39 @@ def holdout_table(unseen: HoldoutScores) -> Table:
 
 def moves_table(view: View) -> Table:
     """The card's own parameters before and after."""
-    column = columns_of([(name, m, *for_people(m.unit)) for name, m in view.moves.items()])
+    rows = [(name, m, *for_people(m.unit)) for name, m in view.moves.items()]
+    moved = [(m.after - m.before) / m.sd_after if m.sd_after > 0.0 else None for _, m, *_ in rows]
     columns = [
-        column(lambda r: f"{r[0]} {bracket(plain_unit(r[2]))}", page="parameter"),
-        column(lambda r: Estimate(r[3] * r[1].before, r[3] * r[1].sd_before), page="card's model"),
-        column(lambda r: Estimate(r[3] * r[1].after, r[3] * r[1].sd_after), page="extended model"),
-        column(
-            lambda r: (r[1].after - r[1].before) / r[1].sd_after if r[1].sd_after > 0.0 else None,
-            page="change\n[standard errors]",
-            form="+.1f",
-        ),
+        Column([f"{name} {bracket(plain_unit(unit))}" for name, _, unit, _ in rows], page="parameter"),
+        Column([Estimate(f * m.before, f * m.sd_before) for _, m, _, f in rows], page="card's model"),
+        Column([Estimate(f * m.after, f * m.sd_after) for _, m, _, f in rows], page="extended model"),
+        Column(moved, page="change\n[standard errors]", form="+.1f"),
     ]
     return table("moves", columns)
 
 
-def residual_tables(view: View) -> tuple[Table, Table]:
-    """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation; then calibration."""
+def residual_table(view: View) -> Table:
+    """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation, and calibration."""
     models = [("card's", view.card), *([("extended", view.extended)] if view.changed else [])]
     rows = [(f"{name}, {label}", fitted.composition[name]) for name in view.coefficients for label, fitted in models]
-    column, first = columns_of([numbers for _, numbers in rows]), Column([label for label, _ in rows], page="")
-    group = "Theil's shares of the squared error"
-    shares = [
-        column(lambda n, part=part: n[f"theil_{part}"], page=part, form=".0%", group=group)
-        for part in ("bias", "variance", "covariance")
-    ]
+    column = columns_of([numbers for _, numbers in rows])
     levels = sorted({level for _, numbers in rows for level in numbers["calibration"]}, key=float)
-    sizes = [
-        first,
+    shares, inside = {"form": ".0%", "group": "Theil's shares"}, {"form": ".0%", "group": "inside the noise's bands"}
+    columns = [
+        Column([label for label, _ in rows], page=""),
         column(lambda n: n["r2"], page="R²", form=".3f"),
         column(lambda n: n["rmse"], page="RMSE [-]", form=".4f"),
         column(lambda n: n["theil"], page="Theil U", form=".3f"),
-        *shares,
+        *(column(lambda n, p=p: n[f"theil_{p}"], page=p, **shares) for p in ("bias", "variance", "covariance")),
         column(lambda n: n["lag1"], page="lag-1\ncorrelation", form="+.2f"),
+        *(column(lambda n, x=x: n["calibration"][x], page=f"{100.0 * float(x):.0f} %", **inside) for x in levels),
     ]
-    inside = [column(lambda n, x=x: n["calibration"][x], page=f"{100.0 * float(x):.0f} %", form=".0%") for x in levels]
-    return table("residuals", sizes), table("calibration", [first, *inside])
-
-
-# --- Sizes of the causes in a band of frequencies beside those of the coefficients: a table, and what it says.
-
-
-def in_band_table(found: CausesInBand) -> Table:
-    """A row for each parameter of a cause that the band shows, SI and radians."""
-    sizes = found.sizes
-    both = (([s.coefficients for s in sizes], "coefficients"), ([s.in_band for s in sizes], "in the band"))
-    columns = [
-        Column([s.cause for s in sizes], "cause", "cause"),
-        *parameter_columns([s.parameter for s in sizes], [s.unit for s in sizes]),
-        *(Column([Estimate.normal(*x) for x in values], page=head, form=in_brackets) for values, head in both),
-        Column([s.apart for s in sizes], page="difference\n[standard errors]", form=".1f"),
-    ]
-    return table("in_band", columns, band=band_text(found))
+    return table("residuals", columns)
 
 
 # --- The page.
 
-FIGURES = (
-    "found", "ranking", "gain", "moves", "residual_profiles", "residual_colour", "stall_models", "separation_models",
-    "measured_simulated",
-)  # fmt: skip
 
-
-def gained(view: View) -> str:
-    """R² of each coefficient on hold-out data before and after, where it changes."""
-    if view.unseen_scores is None:
-        return ""
-    first, last = view.unseen_scores
-    pairs = {n: (f"{first[n].r2:.3f}", f"{last[n].r2:.3f}") for n in first if n in last}
-    moved = {n: pair for n, pair in pairs.items() if pair[0] != pair[1]}
-    return several(f"{n} R² from {before} to {after}" for n, (before, after) in moved.items()) + "." if moved else ""
-
-
-CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
 FROM_WHAT = {
     "coefficients": "",
     "trajectories": ", from trajectories alone: the record has no coefficients",
@@ -322,138 +540,104 @@ FROM_WHAT = {
 FEW = 4  # manoeuvres that are listed one by one in the open
 
 
-@dataclass(frozen=True)
-class DiagnosisContext(parts.PageContext):
-    """Data of a diagnosis page in addition to the diagnosis."""
-
-    test_points: Mapping[str, Any] = field(default_factory=dict)
-    in_band: CausesInBand | None = None
-    revealed: Sequence[str] = ()
-
-
-def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> Report:
-    """The page of a diagnosis, by coefficients or by trajectories alone."""
-    d, whole = view.diagnosis, cast("View | None", view if hasattr(view, "card") else None)
-    by_coefficients = whole is not None
-    captions, best = WORDS["captions"], None if whole is None else telling(whole)
-    what = () if best is None else (best.quantity.replace("_", " "), best.manoeuvre)
-    gallery = Gallery(context.figures, {stem: captions[stem].format(*what) for stem in FIGURES} if what else {})
-    verdict, *rest = diagnosis_sentences(d) if by_coefficients else sentences(view)
-    lead: list[Any] = [Text(one, "lead") for one in context.revealed]
-    if whole is not None and gained(whole):
-        lead.append(Text(f"On hold-out data, before and after: {gained(whole)}", "lead"))
-    if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
-        lead.append(Text(gain, "lead"))
+def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
+    """The page of a diagnosis, by coefficients (which has a `View`) or by trajectories alone."""
+    result, card, d = context.result, context.card, view.diagnosis
+    whole, captions = cast("View | None", view if hasattr(view, "card") else None), dict(WORDS["captions"])
+    if whole is not None:
+        panel, manoeuvre, _ = telling(whole)
+        captions["found"] = captions["found"].format(panel.name, manoeuvre)
+    gallery = Gallery(context.figures, captions)
+    verdict, *rest = sentences(view)
+    shown = revealed(result.hidden, result.named) if result.hidden else []
+    shown += [] if view.trajectories is None else [simulation_gain(view.trajectories)]
+    lead: list[Any] = [Text(text, "lead") for text in shown if text]
     lead.append(gallery("found") or gallery("measured_simulated"))
     if d.compared == "trajectories":
         lead.append("The record lacks channels from which lift, drag and moment coefficients are formed.")
-    elif by_coefficients and not context.figures:
+    elif whole is not None and not context.figures:
         lead.append(WORDS["paragraphs"]["not_drawn"])
+    residuals = "Residuals: size, composition, autocorrelation, calibration"
+    drawn = "residual_profiles", "residual_colour"
+    in_full = rest, parts.not_testable_list(d.not_testable)
     return Report(
-        title=f"Diagnosis: {context.card.title}",
+        title=f"Diagnosis: {card.title}",
         subtitle=f"The model error, its causes, and the gain of the extended model{FROM_WHAT[d.compared]}",
         verdict=verdict,
         lead=lead,
-        doubts=parts.doubts(context.consistency, context.health, context.failures, corrects=by_coefficients),
+        doubts=parts.doubts(result.consistency, result.health, result.failures, corrects=whole is not None),
         sections=[
-            parts.records_section(context),
+            parts.records_section(card, context.records, result.health),
             section("causes", "Causes of the model error", lambda: _causes(view, context, gallery)),
-            *(_flown_alone(view, context, rest) if whole is None else _by_coefficients(whole, context, gallery)),
-            parts.provenance_section(context.source, context.notes),
+            section("gain", "Gain of the extended model on hold-out data", lambda: whole and _gain(whole, gallery)),
+            section("open", "What is open", lambda: _open(d, context) if whole else in_full),
+            section("fit", "Measured and simulated coefficients", lambda: whole and _coefficients(whole)),
+            section("trajectories", "Trajectories, before and after", lambda: _flown(view, card)),
+            section("stall", "The stall", lambda: _stall(whole, gallery)),
+            section("parameters", "Change of the card's parameters", lambda: whole and _moved(whole, card)),
+            section(
+                "diagnostics", "Diagnostics", lambda: whole and fold(residuals, residual_table(whole), gallery(*drawn))
+            ),
+            parts.provenance_section(context.source, result.notes),
         ],
     )
 
 
-def _causes(view: DiagnosisView, context: DiagnosisContext, gallery: Gallery) -> list[Any]:
-    d, band = view.diagnosis, context.in_band
+def _causes(view: DiagnosisView, context: parts.PageContext, gallery: Gallery) -> list[Any]:
+    d = view.diagnosis
     shared = "; rivals (last column) share it" if any(c.ambiguous_with for c in d.causes) else ""
-    about = f"{WORDS['paragraphs']['causes']}{shared}.", causes_table(d)
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in view.rankings]
     screens = [screen_table([ranking], d) for ranking in leaders]
     return [
-        about if d.causes else "No cause is named.",
+        (f"{WORDS['paragraphs']['causes']}{shared}.", causes_table(d)) if d.causes else "No cause is named.",
         sentence("minor", beside="", names=d.minor) if d.minor else None,
         parts.terms("glossary"),
         fold("Every candidate's score before anything was added", screens, gallery("ranking")),
-        list(in_band_sentences(band)),
-        in_band_table(band) if band is not None and band.sizes else None,
+        list(in_band_sentences(context.result.in_band)),
     ]
 
 
-def _by_coefficients(view: View, context: DiagnosisContext, gallery: Gallery) -> list[Section]:
-    d, labels = view.diagnosis, {"card": "card's model", "extended": "extended model"}
-
-    def stall() -> tuple[Any, ...]:
-        if not view.stalls:
-            return ("CLmax and the stall angle are not given: no coefficients were formed.",)
-        stalls = {labels[key]: s for key, s in view.stalls.items()}
-        said = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
-        return parts.stall_table(stalls, said), gallery("stall_models", "separation_models")
-
-    def residuals() -> Any:
-        title = "Residuals: size, composition, autocorrelation, calibration"
-        return fold(title, residual_tables(view), gallery("residual_profiles", "residual_colour"))
-
-    def moves() -> tuple[Any, ...]:
-        known = parts.symbols(view.parameters, view.moves, degrees=True)
-        return (moves_table(view), known, gallery("moves")) if view.moves else ()
-
-    return [
-        section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
-        section("open", "Rivals and unexplained structure", lambda: _open(d, context)),
-        section("fit", "Measured and simulated coefficients", lambda: _coefficients(view)),
-        section("trajectories", "Trajectories, before and after", lambda: _flown(view, context)),
-        section("stall", "The stall", stall),
-        section("parameters", "Change of the card's parameters", moves),
-        section("diagnostics", "Diagnostics", residuals),
-    ]
+def _stall(view: View | None, gallery: Gallery) -> Any:
+    if view is None or not view.stalls:
+        return "CLmax and the stall angle are not given: they need lift coefficients."
+    about = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
+    stalls = {MODELS[key]: s for key, s in view.stalls.items()}
+    return parts.stall_table(stalls, about), gallery("stall_models", "separation_models")
 
 
-def _flown_alone(view: DiagnosisView, context: DiagnosisContext, rest: Sequence[str]) -> list[Section]:
-    """The sections of a diagnosis by trajectories alone or by innovations."""
-    d = view.diagnosis
-    reason = "without accelerometers lift is not measured"
-    if d.compared == "innovations":
-        reason = "a diagnosis by innovations forms no lift coefficient"
-    full = (list(rest), parts.open_list(context.consistency), parts.not_testable_list(d.not_testable))
-    return [
-        section("open", "Findings in full", lambda: full),
-        section("trajectories", "Trajectories, before and after", lambda: _flown(view, context)),
-        section("stall", "The stall", lambda: f"CLmax and the stall angle are not given: {reason}."),
-    ]
+def _moved(view: View, card: Card) -> Any:
+    return view.moves and (moves_table(view), parts.symbols(card, view.parameters, view.moves, degrees=True))
 
 
-def _flown(view: DiagnosisView, context: DiagnosisContext) -> tuple[Any, ...]:
+def _flown(view: DiagnosisView, card: Card) -> Any:
     if view.trajectories is None:
-        return ("No trajectories were simulated in this run.",)
-    remarks = trajectory_sentences(view.trajectories, tolerances=False)  # the table has those
-    return trajectories(view.trajectories, context.card), remarks
+        return "No trajectories were simulated in this run."
+    return trajectories(view.trajectories, card), trajectory_sentences(view.trajectories)
 
 
 def _gain(view: View, gallery: Gallery) -> tuple[Any, ...]:
-    """Scores on hold-out data, then of the manoeuvres one by one, where they were scored; many are folded."""
-    table = gain_table(view)
-    if table is None:
+    whole = gain_table(view)
+    if whole is None:
         return ("Nothing was added, so there is no gain to report.",)
     each = None if view.holdout is None else holdout_table(view.holdout)
-    return table, fold("The same, manoeuvre by manoeuvre", each) if len(view.names) > FEW else each, gallery("gain")
+    return whole, fold("The same, manoeuvre by manoeuvre", each) if len(view.names) > FEW else each, gallery("gain")
 
 
-def _open(d: Diagnosis, context: DiagnosisContext) -> list[Any]:
-    said, points = findings(d), context.test_points
+def _open(d: Diagnosis, context: parts.PageContext) -> list[Any]:
+    listed, points, sensors = findings(d), context.result.test_points, context.result.consistency
     sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
     rivals = f"Rival explanations on this record: {'; '.join(sets)}."
     structure = ("beyond", "unexplained", "terms", "changes")
     apart = {"verdict", "causes", "cancelling", *structure}
-    others = [s for kind, listed in said.items() if kind not in apart for s in listed]
-    sensors = context.consistency
+    others = [text for kind, texts in listed.items() if kind not in apart for text in texts]
+    left = [text for kind in structure for text in listed[kind]]
     return [
         rivals if sets else "No named cause has a rival on this record.",
-        said["cancelling"],
+        listed["cancelling"],
         list(points_sentences(points)),
         points_table(points) if points and points["points"] else None,
-        None if sensors is None else (parts.open_sentences(sensors), parts.open_list(sensors)),
-        [s for kind in structure for s in said[kind]] or "No structure remains that a recorded channel predicts.",
+        None if sensors is None else parts.open_sentences(sensors),
+        left or "No structure remains that a recorded channel predicts.",
         terms_table(d) if d.terms else None,
         changes_table(d) if d.changes else None,
         fold("Noise, and effects that this record cannot test", others or "None."),
@@ -463,14 +647,10 @@ def _open(d: Diagnosis, context: DiagnosisContext) -> list[Any]:
 
 def _coefficients(view: View) -> list[Any]:
     shown, more = parts.first(view.names)
-    context = parts.SIX_CONTEXT if set(LATERAL) & set(view.coefficients) else CONTEXT
-    what, plots = "Coefficients measured and simulated by the card's and the extended model, and the controls,", []
+    lateral, plots = bool(set(LATERAL) & set(view.coefficients)), []
+    what = "Coefficients measured and simulated by the card's and the extended model, and the controls,"
     for order, name in enumerate(shown):
-        mine, panels = view.manoeuvre == order, coefficient_panels(view, order)
-        last = panels[0].lines[-1]
-        curves = [(line.label, line.colour, line.style) for line in panels[0].lines]
-        legend = (*curves, (f"error of the {last.label}", last.colour, "area"))
-        moved = {c: np.asarray(view.channels[c], float)[mine] for c in context if c in view.channels}
-        panels += parts.context_panels({c: values for c, values in moved.items() if np.ptp(values) > 0.0})
-        plots.append(parts.histories(name, f"time-coefficients-{order}", view.time[mine], panels, legend, what))
+        mine = view.manoeuvre == order
+        panels = coefficient_panels(view, order) + parts.context_panels(view.channels, mine, lateral=lateral)
+        plots.append(parts.histories(name, f"time-coefficients-{order}", view.time[mine], panels, what))
     return [WORDS["paragraphs"]["coefficients"], more, plots]

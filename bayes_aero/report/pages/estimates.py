@@ -6,13 +6,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayes_aero.flight.health import only_following
-from bayes_aero.inference.results import SENSITIVITY_LIMIT, Scores, score
-from bayes_aero.report.phrases import decimals, from_to, plus_minus, sentence, several, unit_behind
+from bayes_aero.report.phrases import decimals, plus_minus, sentence, several, unit_behind
 from bayes_aero.report.table import Column, Estimate, in_brackets
 from bayes_aero.units import number
 
@@ -28,12 +27,10 @@ if TYPE_CHECKING:
         MleResult,
         Posterior,
         PriorConflict,
-        Validation,
     )
     from bayes_aero.parameter import Parameter
 
-ENGINES = {"emcee": "emcee", "nuts": "NUTS"}
-NOISES = {"ar1": "AR(1)", "buffet-ar1": "AR(1) with buffet"}
+LABELS = {"nuts": "NUTS", "ar1": "AR(1)", "buffet-ar1": "AR(1) with buffet"}
 # What counts as a disagreement: our choice, wide enough not to report sampling error or chance.
 FACTOR = 1.25  # ratio of two standard errors, either way, up to which they agree
 LIMIT = 3.0  # standard errors of a difference from which two values differ
@@ -55,13 +52,6 @@ class Method:
         """Its standard error over that of `base`, by parameter that both have."""
         sd = {name: estimate.sd for name, estimate in base.estimates.items() if estimate.sd > 0.0}
         return {name: e.sd / sd[name] for name, e in self.estimates.items() if name in sd}
-
-
-class Scatter(NamedTuple):
-    """One parameter between manoeuvres fitted alone."""
-
-    sd: float  # of the estimates
-    in_crb: float  # the largest difference of a pair, in units of its combined Cramer-Rao deviation
 
 
 def ordered(names: Iterable[str], parameters: Iterable[Parameter]) -> list[str]:
@@ -92,28 +82,23 @@ def white_posterior(run: Identification) -> Posterior | None:
     return next(iter(chosen_posteriors(run).values()), None)
 
 
-def engine_label(key: str) -> str:
-    """Name of an engine for readers."""
-    return ENGINES.get(key, key)
-
-
-def noise_label(noise: str) -> str:
-    """Name of a noise model for readers."""
-    return NOISES.get(noise, noise)
+def label_of(key: str) -> str:
+    """Name of an engine or of a noise model for readers."""
+    return LABELS.get(key, key)
 
 
 def methods(run: Identification) -> list[Method]:
     """Bounds, then posteriors, each with the estimates it has of the model's parameters."""
     mle = run.mle
-    found = [
+    every = [
         Method("crb", "ML, Cramér-Rao bound", bounds(mle, mle.crb)),
         Method("crb_corrected", "ML, corrected bound", bounds(mle, mle.crb_corrected)),
     ]
-    for key in [*(["white"] if "white" in run.posteriors else []), *chosen_posteriors(run)]:
-        label = "emcee, white noise" if key == "white" else f"{engine_label(key)}, {noise_label(run.noise)} noise"
+    for key in sorted(run.posteriors, key=lambda key: key != "white"):
+        label = "emcee, white noise" if key == "white" else f"{label_of(key)}, {label_of(run.noise)} noise"
         marginals = run.posteriors[key].marginals.items()
-        found.append(Method(key, label, {n: Estimate.of(m) for n, m in marginals if n in mle.names}))
-    return found
+        every.append(Method(key, label, {n: Estimate.of(m) for n, m in marginals if n in mle.names}))
+    return every
 
 
 def bounds(mle: MleResult, sd: np.ndarray) -> dict[str, Estimate]:
@@ -128,23 +113,18 @@ def usable(mle: MleResult) -> bool:
 
 def alone(run: Identification, name: str) -> dict[str, tuple[float, float, float]]:
     """Estimate, Cramer-Rao bound and corrected bound of `name` by manoeuvre, from usable fits inside their bounds."""
-    found = {}
+    single = {}
     for manoeuvre, mle in run.alone.items():
         if usable(mle) and name in mle.names and name not in mle.at_bound:
             i = mle.names.index(name)
-            numbers = float(mle.estimate[i]), float(mle.crb[i]), float(mle.crb_corrected[i])
-            if np.all(np.isfinite(numbers)):
-                found[manoeuvre] = numbers
-    return found
+            single[manoeuvre] = tuple(float(x[i]) for x in (mle.estimate, mle.crb, mle.crb_corrected))
+    return {manoeuvre: numbers for manoeuvre, numbers in single.items() if np.all(np.isfinite(numbers))}
 
 
-def scatter(run: Identification, name: str) -> Scatter | None:
-    """Scatter of `name` between manoeuvres fitted alone; None with fewer than two usable estimates."""
-    single = list(alone(run, name).values())
-    if len(single) < 2:
-        return None
-    largest = max(abs(a[0] - b[0]) / float(np.hypot(a[1], b[1])) for a, b in combinations(single, 2))
-    return Scatter(float(np.std([x for x, _, _ in single], ddof=1)), largest)
+def scatter(run: Identification, name: str) -> tuple[float, float] | None:
+    """Of a parameter between manoeuvres fitted alone: sd, and the largest difference in its Cramer-Rao errors."""
+    single = [numbers[0] for numbers in alone(run, name).values()]
+    return (float(np.std(single, ddof=1)), _largest(run, name, 1)[0]) if len(single) > 1 else None
 
 
 # --- What an identification says.
@@ -159,8 +139,7 @@ def verdict(run: Identification) -> list[str]:
         return [*signs, *mle.warnings(), *chains, *next_flight_sentences(run), *split_verdict(run)]
     signs += [*bound_sentences(mle.active_bounds), *conflict_sentences(mle.conflicts)]
     signs += inseparable_sentences(mle.inseparable)
-    colour = _colour(run)
-    against = [*colour, *(_white(run) if colour else []), *_noise_model(run), *between_manoeuvres(run)]
+    against = [*_colour(run), *_noise_model(run), *between_manoeuvres(run)]
     left = {name: fit.status.value for name, fit in run.alone.items() if not usable(fit)}
     sentences = against or _agreement(run)
     sentences += [sentence("alone_left_out", name=name, status=status) for name, status in left.items()]
@@ -172,10 +151,11 @@ def _by_key(run: Identification) -> dict[str, Method]:
     return {method.key: method for method in methods(run)}
 
 
-def _spread(ratios: dict[str, float]) -> tuple[float, str, float]:
-    """Their median, and name and value of the ratio furthest from 1, either way."""
+def _spread(ratios: dict[str, float]) -> tuple[float, str, float, bool]:
+    """Their median, name and value of the ratio furthest from 1, either way, and whether all are near 1."""
     name, worst = max(ratios.items(), key=lambda item: abs(np.log(item[1])))
-    return float(np.median(list(ratios.values()))), name, worst
+    median = float(np.median(list(ratios.values())))
+    return median, name, worst, bool(1.0 / FACTOR < median < FACTOR and 0.5 < worst < 2.0)
 
 
 def _plain(value: float) -> str:
@@ -184,78 +164,52 @@ def _plain(value: float) -> str:
 
 
 def _colour(run: Identification) -> list[str]:
-    """Residuals that are not white, and the consequence for the Cramer-Rao bound."""
-    mle, found = run.mle, _by_key(run)
-    median, name, worst = _spread(found["crb_corrected"].over(found["crb"]))
-    chance = LIMIT / np.sqrt(run.observations.n)
-    if 1.0 / FACTOR < median < FACTOR and 0.5 < worst < 2.0:
+    """Residuals that are not white, the consequence for the bound, and that white posteriors only repeat the bound."""
+    mle, by = run.mle, _by_key(run)
+    median, name, worst, near = _spread(by["crb_corrected"].over(by["crb"]))
+    if near:
         return []
+    chance = LIMIT / np.sqrt(run.observations.n)
     lags = ", ".join(f"{key} {value:+.2f}" for key, value in mle.lag1.items())
     reach = "(as for white noise: the correlation is at longer lags)"
     if any(abs(r) > chance for r in mle.lag1.values()):
         reach = f"(white noise stays within ±{chance:.2f})"
-    size = "too small" if median > 1.0 else "not right"
-    sizes = {"median": _plain(median), "worst": _plain(worst)}
-    return [sentence("not_white", lags=lags, reach=reach, size=size, name=name, **sizes)]
-
-
-def _white(run: Identification) -> list[str]:
-    """The posterior under white noise against the Cramer-Rao bound: the same assumption gives the same answer."""
-    posterior = white_posterior(run)
-    if posterior is None:
-        return []
-    base = _by_key(run)["crb"]
-    ratios = {n: posterior.marginals[n].sd / e.sd for n, e in base.estimates.items() if n in posterior.marginals}
-    median = float(np.median(np.abs(np.array(list(ratios.values())) - 1.0)))
-    _, name, worst = _spread(ratios)
-    more = "" if 1.0 / FACTOR < worst < FACTOR else f" For {name} the prior or the curvature matters, too."
-    return [sentence("white_posterior", median=median, worst=worst - 1.0, name=name, more=more)]
+    sizes = {"median": _plain(median), "worst": _plain(worst), "size": "too small" if median > 1.0 else "not right"}
+    sentences = [sentence("not_white", lags=lags, reach=reach, name=name, **sizes)]
+    sentences += [sentence("white_posterior")] if white_posterior(run) is not None else []
+    return sentences
 
 
 def disputed(run: Identification) -> dict[str, float]:
     """Parameters whose posterior and maximum likelihood differ by more than `LIMIT` combined errors, and how far."""
-    engines = chosen_posteriors(run)
+    engines, by = chosen_posteriors(run), _by_key(run)
     if not engines or white_posterior(run) in engines.values():
         return {}
-    found = _by_key(run)
-    corrected, posterior = found["crb_corrected"].estimates, found[next(iter(engines))].estimates
+    corrected, posterior = by["crb_corrected"].estimates, by[next(iter(engines))].estimates
     apart = {n: abs(e.centre - corrected[n].centre) / np.hypot(e.sd, corrected[n].sd) for n, e in posterior.items()}
     return {n: float(apart[n]) for n in ordered(apart, run.mle.parameters) if apart[n] > LIMIT}
 
 
 def _noise_model(run: Identification) -> list[str]:
-    """The chosen noise model's posterior against the corrected bound, and how far its mean moved."""
-    engines, found = chosen_posteriors(run), _by_key(run)
+    engines, by, beyond = chosen_posteriors(run), _by_key(run), disputed(run)
     if not engines or white_posterior(run) in engines.values():
         return []
-    posterior, crb = found[next(iter(engines))], found["crb"].estimates
-    median, name, worst = _spread(posterior.over(found["crb_corrected"]))
-    in_crb = {n: abs(e.centre - crb[n].centre) / crb[n].sd for n, e in posterior.estimates.items()}
-    beyond = disputed(run)
-    if not beyond and 1.0 / FACTOR < median < FACTOR and 0.5 < worst < 2.0:
+    median, name, worst, near = _spread(by[next(iter(engines))].over(by["crb_corrected"]))
+    if near and not beyond:
         return []
-    far = max(in_crb, key=lambda n: in_crb[n])
-    sizes = {"median": median, "worst": worst, "middle": float(np.median(list(in_crb.values())))}
-    names = {"name": name, "furthest": far, "far": _plain(in_crb[far]), "noise": noise_label(run.noise)}
     thinned = "" if run.noise == "white" else ", and a coloured one uses one sample in five"
-    sentences = [sentence("noise_model", thinned=thinned, **sizes, **names)]
-    if beyond:
-        names = [f"{n} ({z:.1f})" for n, z in beyond.items()]
-        sentences.append(sentence("beyond_intervals", names=names, why=_why_apart(run)))
+    sizes = {"median": median, "worst": worst, "name": name, "noise": label_of(run.noise)}
+    sentences = [sentence("noise_model", thinned=thinned, **sizes)]
+    if beyond:  # certain causes before possible ones
+        why = sentence("why_priors", names=[c.name for c in run.mle.conflicts])
+        if not run.mle.conflicts:
+            smoothing = "only one side is smoothed (see above), " if run.preparation else ""
+            why = sentence("why_noise", smoothing=smoothing)
+        sentences.append(sentence("beyond_intervals", names=[f"{n} ({z:.1f})" for n, z in beyond.items()], why=why))
     return sentences
 
 
-def _why_apart(run: Identification) -> str:
-    """Why posterior and maximum likelihood differ, certain causes before possible ones."""
-    if run.mle.conflicts:
-        return sentence("why_priors", names=[c.name for c in run.mle.conflicts])
-    smoothing = "only one side is smoothed (see above), " if run.preparation else ""
-    alike = "; if the modelled and the measured side were filtered alike, both would give the same values. So "
-    return sentence("why_noise", alike=alike if run.forming == "published" else ". Either ", smoothing=smoothing)
-
-
 def _agreement(run: Identification) -> list[str]:
-    """The sentence when all methods agree, with the numbers that show it."""
     crb, *others = methods(run)
     spans = {m.label: m.over(crb).values() for m in others}
     parts = [f"{label} {min(ratios):.2f} to {max(ratios):.2f} times" for label, ratios in spans.items()]
@@ -267,16 +221,13 @@ def _agreement(run: Identification) -> list[str]:
 
 
 def _truth(run: Identification) -> list[str]:
-    """Of simulated records: how many true parameters the intervals of each method contain."""
-    known, names = run.truth or {}, flown(run)
+    true, names, held = run.truth or {}, flown(run), []
     if not names:
         return []
-    held, far = [], {}
     for method in methods(run):
-        own = {n: method.estimates[n] for n in names if n in method.estimates}
-        held.append(f"{sum(e.low <= known[n] <= e.high for n, e in own.items())} ({method.label})")
-        if method.key == "crb_corrected":
-            far = {n: (e.centre - known[n]) / e.sd for n, e in own.items()}
+        intervals = {n: method.estimates[n] for n in names if n in method.estimates}
+        held.append(f"{sum(e.low <= true[n] <= e.high for n, e in intervals.items())} ({method.label})")
+    far = {n: (e.centre - true[n]) / e.sd for n, e in _by_key(run)["crb_corrected"].estimates.items() if n in names}
     name = max(far, key=lambda n: abs(far[n]))
     return [sentence("true_parameters", n=len(names), held=held, name=name, far=far[name])]
 
@@ -290,72 +241,50 @@ MOST = 6  # parameters that are named one by one
 def between_manoeuvres(run: Identification) -> list[str]:
     """Sentences on differences beyond `LIMIT` standard errors; none if the intervals explain them."""
     compared = [n for n in ordered(run.mle.names, run.mle.parameters) if len(alone(run, n)) > 1]
-    kinds = {"crb": "the Cramér-Rao bound", "crb_corrected": "the corrected bound"}
-    for engine in list(chosen_posteriors(run))[:1]:
-        kinds[engine] = f"the {noise_label(run.noise)} posterior's width"
-    beyond, counts = {}, []
-    for kind, label in kinds.items():
+    beyond, counts = [], []
+    for kind, label in ((1, "the Cramér-Rao bound"), (2, "the corrected bound")):
         far = {n: z for n in compared if (z := _largest(run, n, kind)[0]) > LIMIT}
-        listed = several(f"{name} ({z:.1f})" for name, z in far.items()) or "none"
-        if len(far) > MOST:
-            worst = max(far, key=lambda n: far[n])
-            listed = f"{len(far)} of {len(compared)} parameters (up to {far[worst]:.0f}, {worst})"
-        beyond[kind] = set(far)
+        listed = several((f"{name} ({z:.1f})" for name, z in far.items()), MOST) or "none"
+        beyond.append(list(far))
         counts.append(f"{label}: {listed}")
-    if not any(beyond.values()):
+    if not any(beyond):
         return []
-    sentences = [sentence("alone_differ", limit=LIMIT, counts="; by ".join(counts))]
-    wider = [names for kind, names in beyond.items() if kind != "crb"]
-    always = [n for n in compared if all(n in names for names in wider)]
-    numbers = []
-    for name in always or [n for n in compared if any(n in names for names in wider)]:
-        (_, *pair), single = _largest(run, name, "crb"), alone(run, name)
+    sentences, numbers = [sentence("alone_differ", limit=LIMIT, counts="; by ".join(counts))], []
+    for name in beyond[1]:
+        (_, *pair), single = _largest(run, name, 1), alone(run, name)
         values = " and ".join(f"{single[m][0]:.{decimals(single[m][1])}f} from {m}" for m in pair)
         bound = max(single[m][1] for m in pair)
         numbers.append(f"{name} is {values}, with Cramér-Rao standard errors up to {bound:.2g}")
     return sentences + ([sentence("no_noise_model", numbers="; ".join(numbers))] if numbers else [])
 
 
-def _largest(run: Identification, name: str, kind: str) -> tuple[float, str, str]:
-    """Largest difference of two manoeuvres in standard errors of the difference, and which two."""
-    # manoeuvres were not sampled one by one: their Cramer-Rao deviations times the joint ratio of posterior to bound
-    single, by_key = alone(run, name), _by_key(run)
-    estimate = by_key[kind].estimates.get(name)
-    widen = estimate.sd / by_key["crb"].estimates[name].sd if estimate else np.nan
-    sd = {m: corrected if kind == "crb_corrected" else widen * crb for m, (_, crb, corrected) in single.items()}
-    pairs = combinations(single, 2)
-    return max((abs(single[a][0] - single[b][0]) / float(np.hypot(sd[a], sd[b])), a, b) for a, b in pairs)
+def _largest(run: Identification, name: str, kind: int) -> tuple[float, str, str]:
+    """Largest difference of two manoeuvres, in Cramer-Rao (1) or corrected (2) errors of the difference."""
+    pairs = combinations(alone(run, name).items(), 2)
+    return max((abs(x[0] - y[0]) / math.hypot(x[kind], y[kind]), a, b) for (a, x), (b, y) in pairs)
 
 
 def next_flight_sentences(run: Identification) -> list[str]:
     """What the pooled manoeuvres say, and how little they can say; nothing where they were not pooled."""
-    if run.next_flight is None:
+    pooled = run.next_flight
+    if pooled is None:
         return []
-    found, count = run.next_flight, len(run.next_flight.manoeuvres)
-    low, high = found.at_best
-    names = ordered(found.aircraft, found.parameters)
-    little = [n for n in names if found.narrowed[n] > LITTLE]
-    joint = bounds(run.mle, run.mle.crb_corrected)
-    widest = "the joint fit has no intervals beside which to put its own"
-    growth = {n: (m.ci95[1] - m.ci95[0]) / (joint[n].high - joint[n].low) for n, m in found.following.items()}
-    finite = {n: g for n, g in growth.items() if g > 0.0 and g < float("inf")}
-    if finite:  # by how much intervals grow from the joint fit to the next flight
-        name = sorted(finite, key=lambda n: finite[n])[len(finite) // 2]
-        own, fit = (from_to(e.low, e.high, e.sd) for e in (Estimate.of(found.following[name]), joint[name]))
-        widest = sentence("next_wider", times=finite[name], name=name, own=own, fit=fit)
+    count, (low, high) = len(pooled.manoeuvres), pooled.at_best
+    names, joint = ordered(pooled.aircraft, pooled.parameters), bounds(run.mle, run.mle.crb_corrected)
+    growth = [(m.ci95[1] - m.ci95[0]) / (joint[n].high - joint[n].low) for n, m in pooled.following.items()]
     sentences = [
-        sentence("next_flight", widest=widest),
+        sentence("next_flight", times=float(np.median(growth))),
         sentence("scatter_limit", count=count, low=number(low, 2), high=number(high, 2)),
     ]
-    if little:
+    if little := [n for n in names if pooled.narrowed[n] > LITTLE]:
         which = f"all {len(names)} parameters" if len(little) == len(names) else several(little)
         sentences.append(sentence("scatter_prior", which=which, limit=LITTLE))
-    for name, manoeuvres in found.undetermined.items():
+    for name, manoeuvres in pooled.undetermined.items():
         others = count - len(manoeuvres)
         rests = f"its value rests on the other {others}" if others > 1 else "its scatter is the prior's"
         sentences.append(sentence("undetermined_by", manoeuvres=manoeuvres, name=name, rests=rests))
-    sentences += [f"{m} is left out of the next flight: {reason}." for m, reason in found.left_out.items()]
-    doubt = [] if found.status.name == "CONVERGED" else [f"Scatter between manoeuvres, NUTS: {found.status.value}."]
+    sentences += [f"{m} is left out of the next flight: {reason}." for m, reason in pooled.left_out.items()]
+    doubt = [] if pooled.status.name == "CONVERGED" else [f"Scatter between manoeuvres, NUTS: {pooled.status.value}."]
     return sentences + doubt
 
 
@@ -364,30 +293,7 @@ def next_flight_sentences(run: Identification) -> list[str]:
 LEAK = 0.02  # a correlation that falls by more from the random split to another one was leaked; our choice
 NOTABLE = 0.001  # a difference of correlations not worth a sentence below; our choice
 SPLITS = {"random": "the random split", "block": "hold-out blocks", "manoeuvre": "a hold-out manoeuvre"}
-
-
-@dataclass(frozen=True)
-class PooledScores:
-    """Validation of one coefficient over the test points of several folds together."""
-
-    points: int
-    gp: Scores
-    mle: Scores
-    coverage: dict[float, float]
-    k_hat: float | None
-    status: str
-
-    @classmethod
-    def of(cls, folds: Sequence[Validation]) -> PooledScores:
-        """Scores over all points; coverage is weighted by points, and `k_hat` is the largest."""
-        measured, gp, mle = (np.concatenate([getattr(v, key) for v in folds]) for key in ("measured", "gp", "mle"))
-        weights = [len(v.measured) for v in folds]
-        coverage = {
-            level: float(np.average([v.coverage[level] for v in folds], weights=weights)) for level in folds[0].coverage
-        }
-        k_hat = max((v.k_hat for v in folds if v.k_hat is not None), default=None)
-        status = "; ".join(dict.fromkeys(v.status for v in folds))
-        return cls(len(measured), score(measured, gp), score(measured, mle), coverage, k_hat, status)
+SCORED = "gp_scores", "mle_scores"
 
 
 def split_verdict(run: Identification) -> list[str]:
@@ -398,20 +304,20 @@ def split_verdict(run: Identification) -> list[str]:
     first = report.splits[report.chosen][0]
     unsampled = {n: first[n].status.rstrip(".") for n, fit in report.fits.items() if fit.posterior is None}
     sentences = [f"Gaussian process of {name}: no sampled hyperparameters ({why})." for name, why in unsampled.items()]
-    others = [split for split in ("block", "manoeuvre") if split in report.splits]
-    if "random" not in report.splits or not others:
+    splits = [split for split in SPLITS if split in report.splits]
+    if splits[0] != "random" or len(splits) < 2:
         return sentences
-    names, splits = tuple(report.splits["random"][0]), ("random", *others)
-    pooled = {s: {n: PooledScores.of([fold[n] for fold in report.splits[s]]) for n in names} for s in splits}
-    r, mle = ({s: {n: getattr(pooled[s][n], by).r for n in names} for s in splits} for by in ("gp", "mle"))
-    drops = {n: r["random"][n] - min(r[s][n] for s in others) for n in names}
+    pooled = {s: {n: report.pooled(s, n) for n in report.splits["random"][0]} for s in splits}
+    r, mle = ({s: {n: getattr(v, by).r for n, v in of.items()} for s, of in pooled.items()} for by in SCORED)
+    drops = {n: x - min(r[s][n] for s in splits[1:]) for n, x in r["random"].items()}
     lost = [f"{n} -{drop:.2f}" for n, drop in drops.items() if drop > LEAK]
     away = 1000.0 * run.observations.dt
     leak = sentence("leak", away=away, lost=lost) if lost else "The random split does not leak significantly."
-    numbers = [f"{n} {' / '.join(f'{r[s][n]:.3f}' for s in splits)}" for n in names]
-    order = " / ".join(SPLITS[s] for s in splits)
-    sentences.append(sentence("gp_correlation", order=order, numbers=numbers, leak=leak))
-    for split in ("random", others[-1]):  # coefficients that the Gaussian process predicts worse than the stall model
+    numbers = [f"{n} {' / '.join(f'{r[s][n]:.3f}' for s in splits)}" for n in drops]
+    sentences.append(
+        sentence("gp_correlation", order=" / ".join(SPLITS[s] for s in splits), numbers=numbers, leak=leak)
+    )
+    for split in ("random", splits[-1]):  # coefficients that the Gaussian process predicts worse than the stall model
         worse = {n: x for n, x in r[split].items() if x < mle[split][n] - NOTABLE}
         behind = [f"{n} ({mle[split][n]:.3f} against {x:.3f})" for n, x in worse.items()]
         sentences += [sentence("gp_behind", split=SPLITS[split], names=behind)] if behind else []
@@ -433,17 +339,16 @@ def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -
     names = [c.name for c in conflicts if c.name in table.index]
     if not names:
         return ()
-    prior, data = (table[part].astype(float).to_dict() for part in ("prior", "likelihood"))
-    own = [f"{n} {prior[n]:.2f} to the prior, {data[n]:.2f} to the data" for n in names]
-    others = [str(n) for n in prior if n not in names and prior[n] >= SENSITIVITY_LIMIT]
+    sizes = [f"{n} {table['prior'][n]:.2f} to the prior, {table['likelihood'][n]:.2f} to the data" for n in names]
+    others = [str(n) for n, what in table["says"].items() if n not in names and "prior" in what]
     more = f" Priors also move {several(others)}." if others else ""
-    return (sentence("sensitivity", limit=SENSITIVITY_LIMIT, own=own, more=more),)
+    return (sentence("sensitivity", sizes=sizes, more=more),)
 
 
-def bound_sentences(found: Sequence[ActiveBound]) -> list[str]:
+def bound_sentences(bound: Sequence[ActiveBound]) -> list[str]:
     """A sentence for each parameter at its bound."""
     sentences = []
-    for b in found:
+    for b in bound:
         shifts = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.shifts.items())
         moves = f"; the bound moves {shifts}" if shifts else ""
         numbers = {"bound": number(b.bound, 4), "free": number(b.unbounded, 4), "unit": unit_behind(b.unit)}
@@ -451,15 +356,15 @@ def bound_sentences(found: Sequence[ActiveBound]) -> list[str]:
     return sentences
 
 
-def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
+def inseparable_sentences(sets: Sequence[Inseparable]) -> list[str]:
     """A sentence for each set of parameters that the record cannot separate."""
     sentences = []
-    for one in found:
-        three = zip(one.names, one.units, one.estimates, strict=True)
+    for alike in sets:
+        three = zip(alike.names, alike.units, alike.estimates, strict=True)
         listed = [f"{name} {plus_minus(x, sd)}{unit_behind(unit)}" for name, unit, (x, sd) in three]
-        low, high = (_plain(x) for x in (min(one.wider), max(one.wider)))
+        low, high = (_plain(x) for x in (min(alike.wider), max(alike.wider)))
         times = low if low == high else f"{low} to {high}"
-        sentences.append(sentence("inseparable", names=one.names, listed=listed, times=times))
+        sentences.append(sentence("inseparable", names=alike.names, listed=listed, times=times))
     return sentences
 
 
@@ -490,7 +395,7 @@ SDS = 0.15  # relative difference of standard deviations up to which samplers ag
 
 def unfinished(posteriors: Mapping[str, Posterior]) -> list[str]:
     """Posteriors that must not be used."""
-    labels = {key: engine_label(key) for key in posteriors} | {"white": "emcee under white noise"}
+    labels = {key: label_of(key) for key in posteriors} | {"white": "emcee under white noise"}
     doubtful = {labels[key]: p.status.value for key, p in posteriors.items() if p.status.name != "CONVERGED"}
     return [f"The posterior by {label}: {status}." for label, status in doubtful.items()]
 
@@ -505,7 +410,7 @@ def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
         far, wide = max(means, key=lambda n: means[n]), max(sds, key=lambda n: abs(np.log(sds[n])))
         agree = means[far] < MEANS and abs(sds[wide] - 1.0) < SDS
         sizes = {"means": means[far], "far": far, "sds": abs(sds[wide] - 1.0), "wide": wide}
-        key, engines = "samplers" if agree else "samplers_disagree", [engine_label(a), engine_label(b)]
+        key, engines = "samplers" if agree else "samplers_disagree", [label_of(a), label_of(b)]
         sentences.append(sentence(key, engines=engines, **sizes))
     return sentences
 
@@ -523,13 +428,14 @@ def frequency_columns(names: Sequence[str], fit: FrequencyFit, head: str | None 
     key = f"frequency_{fit.method.replace(' ', '_')}"
     group = f"{fit.method}, {band_text(fit)}"
 
-    def of(sd: np.ndarray) -> list[Estimate | None]:
-        found = {n: Estimate.normal(x, s) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
-        return [found.get(name) for name in names]
-
+    crb, corrected = (
+        {n: Estimate.normal(x, s) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
+        for sd in (fit.crb, fit.crb_corrected)
+    )
+    both, files = [corrected.get(n) for n in names], ("", f"{key}_crb_corrected")
     columns = [
-        Column(of(fit.crb), (key, f"{key}_crb"), "Cramér–Rao", group=group),
-        Column(of(fit.crb_corrected), ("", f"{key}_crb_corrected"), "corrected", head, "", in_brackets, group=group),
+        Column([crb.get(n) for n in names], (key, f"{key}_crb"), "Cramér–Rao", group=group),
+        Column(both, files, "corrected", head, "", in_brackets, group=group),
     ]
     if fit.apart:
         apart = [fit.apart.get(name) for name in names]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -10,17 +10,15 @@ import numpy as np
 
 from bayes_aero.effect import Stage
 from bayes_aero.flight.health import only_following
-from bayes_aero.inference.results import interval_coverage
 from bayes_aero.physics.aircraft import Axis
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.posterior import CORRELATIONS, pit_caption
-from bayes_aero.report.html.page import Gallery, Report, fold, section
-from bayes_aero.report.html.plots import Line, Panel
+from bayes_aero.report.figures.posterior import CORRELATIONS
+from bayes_aero.report.page import Gallery, Report, fold, section
 from bayes_aero.report.pages import estimates, parts
-from bayes_aero.report.pages.estimates import engine_label, noise_label, ordered, unit_of
+from bayes_aero.report.pages.estimates import label_of, ordered, unit_of
 from bayes_aero.report.pages.parts import DEG, interval
 from bayes_aero.report.pages.trajectories import given_flights
 from bayes_aero.report.phrases import WORDS, from_to, plus_minus, sentence, several, unparted
+from bayes_aero.report.plots import compared_panel
 from bayes_aero.report.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns, table
 from bayes_aero.units import number
 
@@ -30,7 +28,7 @@ if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import SimulatedManoeuvre
     from bayes_aero.inference.results import Identification
 
-ON_TERMINAL, ON_PAGE = 3, 4  # manoeuvres fitted alone that are shown one by one; of more only the scatter
+ON_TERMINAL, ON_PAGE = 3, 4  # manoeuvres that are shown one by one; of more only the scatter
 ML = "maximum likelihood\n± standard error"
 SAMPLED = "posterior\nmean ± standard deviation, 95 % interval"
 
@@ -54,7 +52,7 @@ def parameter_table(run: Identification) -> Table:
     for m in sampled:
         white, label = m.key == "white", m.label.replace(", ", "\n", 1)
         files = tuple(f"{m.key}_{part}" for part in ("mean", "sd", *(() if white else ("ci95_low", "ci95_high"))))
-        head = f"{engine_label(m.key)}\n{noise_label(run.noise)}" if m.key == posterior else None
+        head = f"{label_of(m.key)}\n{label_of(run.noise)}" if m.key == posterior else None
         column = Column(m.of(names), files, label, "sd\nwhite" if white else head, _interval, group=SAMPLED)
         columns.append(replace(column, terminal_form=_sd if white else in_brackets))
     if run.frequency is not None:
@@ -74,64 +72,53 @@ def _interval(e: Estimate) -> str:
     return f"{plus_minus(e.centre, e.sd)}\n{from_to(e.low, e.high, e.sd)}"
 
 
-def _alone_columns(run: Identification, names: Sequence[str]) -> Iterator[Column]:
+def _alone_columns(run: Identification, names: Sequence[str]) -> list[Column]:
     """Manoeuvres fitted alone: files have every fit, people those that are usable, or their scatter."""
-    few = len(run.alone) <= ON_TERMINAL
-    for (manoeuvre, fit), usable in zip(run.alone.items(), _usable(run, names), strict=True):
-        own = estimates.bounds(fit, fit.crb)
-        yield Column([own.get(n) for n in names], (f"{manoeuvre}_estimate", f"{manoeuvre}_crb"))
-        yield Column(usable, terminal=f"{manoeuvre}\nalone" if few else None)
-    found = [estimates.scatter(run, n) for n in names]
+    few, columns = len(run.alone) <= ON_TERMINAL, []
+    usable = [estimates.alone(run, n) for n in names]
+    for manoeuvre, fit in run.alone.items():
+        single = estimates.bounds(fit, fit.crb)
+        columns.append(Column([single.get(n) for n in names], (f"{manoeuvre}_estimate", f"{manoeuvre}_crb")))
+        shown = [Estimate.normal(*by[manoeuvre][:2]) if manoeuvre in by else None for by in usable]
+        columns.append(Column(shown, terminal=f"{manoeuvre}\nalone" if few else None))
+    scatter, group = [estimates.scatter(run, n) or (None, None) for n in names], "manoeuvres fitted alone"
+    sd, largest = zip(*scatter, strict=True)
     head = None if few else f"sd of {len(run.alone)}\nalone"
-    group = "manoeuvres fitted alone"
-    yield Column([s and s.sd for s in found], "between_manoeuvres_sd", "scatter\n(sd)", head, 2, group=group)
-    largest = [s and s.in_crb for s in found]
-    yield Column(largest, "largest_difference_in_crb", "largest\ndifference", form=".1f", group=group)
-
-
-def _usable(run: Identification, names: Sequence[str]) -> list[list[Estimate | None]]:
-    """By manoeuvre, its own estimates with Cramer-Rao bounds, where they are usable."""
-    own = [estimates.alone(run, n) for n in names]
-    return [[Estimate.normal(*one[m][:2]) if m in one else None for one in own] for m in run.alone]
-
-
-def alone_table(run: Identification) -> Table | None:
-    """Every parameter as each manoeuvre by itself has it; nothing where there is one, or too many for a page."""
-    if not 1 < len(run.alone) <= ON_PAGE:
-        return None
-    names = ordered(run.mle.names, run.mle.parameters)
-    own = [Column(values, page=m) for m, values in zip(run.alone, _usable(run, names), strict=True)]
-    columns = [*parameter_columns(names, [unit_of(run, n) for n in names]), *own]
-    return table("alone", columns)
+    last = "largest_difference_in_crb", "largest\ndifference"
+    return [
+        *columns,
+        Column(sd, "between_manoeuvres_sd", "scatter\n(sd)", head, 2, group=group),
+        Column(largest, *last, form=".1f", group=group),
+    ]
 
 
 def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
     """Scores of GPR and maximum likelihood on the same test points by split, fold (and all folds) and coefficient."""
-    rows: list[tuple[str, str, str, estimates.PooledScores]] = []
-    for split, folds in (run.gp.splits if run.gp else {}).items():
+    rows, gp = [], run.gp
+    for split, folds in () if gp is None else gp.splits.items():
         for name in run.observations.coefficients:
-            each = enumerate(folds, start=1) if each_fold and len(folds) > 1 else ()
-            of = [*((str(k), [fold]) for k, fold in each), ("all", folds)]
-            rows += [(split, k, name, estimates.PooledScores.of([fold[name] for fold in some])) for k, some in of]
+            if each_fold and len(folds) > 1:
+                rows += [(split, str(k), name, fold[name]) for k, fold in enumerate(folds, start=1)]
+            rows.append((split, "all", name, gp.pooled(split, name)))
     column = columns_of([row[-1] for row in rows])
     ml, gpr = {"group": "maximum likelihood"}, {"group": "GPR"}
     columns = [
         *(Column([row[k] for row in rows], name) for k, name in enumerate(("split", "fold", "coefficient"))),
         Column([f"{split}, {name}" for split, _, name, _ in rows], page="split, coefficient"),
-        column(lambda p: p.points, "points", "points"),
-        column(lambda p: p.mle.r, page="r", form=".4f", **ml),
-        column(lambda p: p.mle.rmse, page="RMSE [-]", form=3, **ml),
-        column(lambda p: p.gp.r, "gpr_r", "r", form=".4f", **gpr),
-        column(lambda p: p.gp.rmse, "gpr_rmse", "RMSE [-]", form=3, **gpr),
-        column(lambda p: p.gp.theil, "gpr_theil"),
-        column(lambda p: p.gp.r2, "gpr_r2"),
-        column(lambda p: p.coverage.get(0.5), "gpr_coverage50"),
-        column(lambda p: p.coverage.get(0.9), "gpr_coverage90"),
-        column(lambda p: p.coverage.get(0.95), "gpr_coverage95", "inside 95 %", form=".0%", **gpr),
-        column(lambda p: p.k_hat, "gpr_k_hat", "Pareto k", form=2, **gpr),
-        column(lambda p: p.mle.r, "mle_r"),
-        column(lambda p: p.mle.rmse, "mle_rmse"),
-        column(lambda p: p.status, "gpr_status"),
+        column(lambda v: len(v.measured), "points", "points"),
+        column(lambda v: v.mle_scores.r, page="r", form=".4f", **ml),
+        column(lambda v: v.mle_scores.rmse, page="RMSE [-]", form=3, **ml),
+        column(lambda v: v.gp_scores.r, "gpr_r", "r", form=".4f", **gpr),
+        column(lambda v: v.gp_scores.rmse, "gpr_rmse", "RMSE [-]", form=3, **gpr),
+        column(lambda v: v.gp_scores.theil, "gpr_theil"),
+        column(lambda v: v.gp_scores.r2, "gpr_r2"),
+        column(lambda v: v.coverage.get(0.5), "gpr_coverage50"),
+        column(lambda v: v.coverage.get(0.9), "gpr_coverage90"),
+        column(lambda v: v.coverage.get(0.95), "gpr_coverage95", "inside 95 %", form=".0%", **gpr),
+        column(lambda v: v.k_hat, "gpr_k_hat", "Pareto k", form=2, **gpr),
+        column(lambda v: v.mle_scores.r, "mle_r"),
+        column(lambda v: v.mle_scores.rmse, "mle_rmse"),
+        column(lambda v: v.status, "gpr_status"),
     ]
     return table("validation", columns, index=3)
 
@@ -164,33 +151,8 @@ def sampler_table(run: Identification, key: str) -> Table:
         column(lambda r: r[1].ess_bulk, page="bulk ESS", form=".0f"),
         column(lambda r: r[1].ess_tail, page="tail ESS", form=".0f"),
     ]
-    return table(
-        "sampler",
-        columns,
-        engine=engine_label(posterior.engine),
-        noise=noise_label(posterior.noise),
-        status=posterior.status.value,
-        divergent=divergent,
-    )
-
-
-def coverage_table(run: Identification) -> Table | None:
-    """Share of the measured samples inside the posterior's predictive intervals."""
-    rows = []
-    for key, posterior in estimates.chosen_posteriors(run).items():
-        if not {"posterior_predictive", "observed_data"} <= set(posterior.tree.children):
-            continue
-        predicted, observed = (posterior.tree[g].to_dataset() for g in ("posterior_predictive", "observed_data"))
-        for name in run.observations.coefficients:
-            draws = np.asarray(predicted[name], float).reshape(-1, observed[name].size)
-            shares = interval_coverage(np.asarray(observed[name], float), draws)
-            rows.append((f"{engine_label(key)}, {name}", *shares.values()))
-    if not rows:
-        return None
-    first, *columns = zip(*rows, strict=True)
-    heads = ("50 %", "90 %", "95 %")
-    columns = [Column(first, page=""), *(Column(c, page=h, form=".0%") for c, h in zip(columns, heads, strict=True))]
-    return table("coverage", columns)
+    about = {"engine": label_of(posterior.engine), "noise": label_of(posterior.noise)}
+    return table("sampler", columns, **about, status=posterior.status.value, divergent=divergent)
 
 
 POOLED_ON_TERMINAL = 2  # manoeuvres that are shown one by one; a file has all
@@ -199,32 +161,32 @@ PARTS = ("", "sd", "ci95_low", "ci95_high")
 
 def next_flight_table(run: Identification) -> Table:
     """A row for each parameter, SI and radians; ValueError if the run has not pooled its manoeuvres."""
-    found = run.next_flight
-    if found is None:
+    pooled = run.next_flight
+    if pooled is None:
         raise ValueError("the manoeuvres of this run are not pooled")
-    names = ordered(found.aircraft, found.parameters)
-    few, one_by_one = (len(found.manoeuvres) <= most for most in (POOLED_ON_TERMINAL, ON_PAGE))
+    names = ordered(pooled.aircraft, pooled.parameters)
+    few, one_by_one = (len(pooled.manoeuvres) <= most for most in (POOLED_ON_TERMINAL, ON_PAGE))
     joint = estimates.bounds(run.mle, run.mle.crb_corrected)
     name, unit, both = parameter_columns(names, [unit_of(run, n) for n in names])
     columns = [
         *(name, replace(unit, terminal=None), both),  # a terminal has the units above
         Column([joint[n] for n in names], ("joint", "joint_sd"), "joint", "joint", terminal_form=in_brackets),
     ]
-    for m in found.manoeuvres:
-        own = found.alone[m]
-        single = [Estimate.normal(*own[n]) if n in own else None for n in names]
-        for kind, values in (("alone", single), ("pooled", [Estimate.of(found.pooled[m][n]) for n in names])):
+    for m in pooled.manoeuvres:
+        alone = pooled.alone[m]
+        single = [Estimate.normal(*alone[n]) if n in alone else None for n in names]
+        for kind, values in (("alone", single), ("pooled", [Estimate.of(pooled.pooled[m][n]) for n in names])):
             heads = kind if one_by_one else None, f"{m}\npooled" if few and kind == "pooled" else None
             columns.append(Column(values, (f"{m}_{kind}", f"{m}_{kind}_sd"), *heads, group=m))
     for key, head, numbers, form, on_terminal in (
-        ("aircraft", "aircraft", found.aircraft, "", in_brackets),
-        ("scatter", "scatter\n95 %", found.scatter, lambda e: f"{number(e.low, 2)} to {number(e.high, 2)}", ""),
-        ("next_flight", "next flight\n95 %", found.following, lambda e: from_to(e.low, e.high, e.sd), ""),
+        ("aircraft", "aircraft", pooled.aircraft, "", in_brackets),
+        ("scatter", "scatter\n95 %", pooled.scatter, lambda e: f"{number(e.low, 2)} to {number(e.high, 2)}", ""),
+        ("next_flight", "next flight\n95 %", pooled.following, lambda e: from_to(e.low, e.high, e.sd), ""),
     ):
         files = tuple(f"{key}_{part}".rstrip("_") for part in PARTS)
         values = [Estimate.of(numbers[n]) for n in names]
         columns.append(Column(values, files, head, head.splitlines()[0], form, on_terminal))
-    narrowed = [found.narrowed[n] for n in names]
+    narrowed = [pooled.narrowed[n] for n in names]
     columns.append(Column(narrowed, "scatter_over_prior", "scatter\nover prior", "over\nprior", form=".2f"))
     return table("next_flight", columns, dense=True)
 
@@ -240,32 +202,25 @@ def identification_page(
 ) -> Report:
     """The page, with the drawn `figures` by stem and the simulated manoeuvres, where there are any."""
     gallery = Gallery(figures, _captions(run))
-    findings = estimates.verdict(run)
-    doubtful = [p for p in run.posteriors.values() if p.status.name != "CONVERGED"]
-    labels = [f"{engine_label(p.engine)} under {noise_label(p.noise)} noise: {p.status.value}." for p in doubtful]
-    pooled = run.next_flight is not None
+    findings, pooled = estimates.verdict(run), run.next_flight is not None
     return Report(
         title=f"Identification: {run.card.title}",
         subtitle="Aerodynamic model identified from flight data, with uncertainty",
         verdict=headline(run),
         lead=[
-            parts.warnings(labels),
+            parts.warnings(estimates.unfinished(run.posteriors)),
             gallery("stall") or gallery("crb_vs_credible"),
             "" if figures else WORDS["paragraphs"]["not_drawn"],
         ],
         doubts=parts.doubts(run.consistency, run.health, run.failures),
         sections=[
             section("findings", "Findings", lambda: (findings, parts.terms("glossary"))),
-            parts.records_section(run),
+            parts.records_section(run.card, run.records, run.health),
             section("fit", "Measured and fitted", lambda: _fit(run)),
             section("simulated", "Measured and simulated", lambda: given_flights(flown, run.card)),
             section("stall", "The stall", lambda: _stall(run, gallery)),
             section("parameters", "Parameters", lambda: _parameters(run, gallery)),
-            section(
-                "next-flight",
-                "The next flight",
-                lambda: (next_flight_table(run), gallery("next_flight")) if pooled else None,
-            ),
+            section("next-flight", "The next flight", lambda: next_flight_table(run) if pooled else None),
             section("prediction", "Prediction of hold-out data", lambda: _validation(run, gallery)),
             section("diagnostics", "Diagnostics", lambda: _diagnostics(run, gallery)),
             parts.provenance_section(source, run.notes, run.seconds),
@@ -274,13 +229,12 @@ def identification_page(
 
 
 def _captions(run: Identification) -> dict[str, str]:
-    """Of every figure, by stem."""
     captions = dict(WORDS["captions"])
     captions["fig2_gpr_fit"] = captions["fig2_gpr_fit"].format(several(run.mle.fit))
     for engine in run.posteriors:
-        captions |= {f"{kind}_{engine}": captions[kind].format(engine_label(engine)) for kind in ("trace", "rank")}
+        captions |= {f"{kind}_{engine}": captions[kind].format(label_of(engine)) for kind in ("trace", "rank")}
     captions |= {CORRELATIONS[c]: captions["correlation"].format(c) for c in run.mle.fit}
-    return captions | ({} if run.pit is None else {"pit": pit_caption(run)})
+    return captions
 
 
 def headline(run: Identification) -> str:
@@ -307,22 +261,16 @@ def headline(run: Identification) -> str:
 
 
 def _fit(run: Identification) -> list[Any]:
-    """Time histories of each manoeuvre, and the scores of the fit."""
-    o = run.observations
-    fitted, measured = run.fitted, np.asarray(o.measured)
+    o, measured, plots = run.observations, np.asarray(run.observations.measured), []
     shown, more = parts.first(o.names)
-    context = parts.SIX_CONTEXT if Axis.LATERAL in run.model.axes else parts.CONTEXT
-    colour, plots = COLOURS["mle"], []
-    legend = (parts.MEASURED, ("fitted (maximum likelihood)", colour, "solid"), ("error", colour, "area"))
     for order, name in enumerate(shown):
         mine, panels = o.manoeuvre == order, []
         for i, coefficient in enumerate(o.coefficients):
-            line = Line("measured", COLOURS["measured"], measured[mine, i], width=1.0)
-            both = (line, Line("fitted", colour, fitted[mine, i]))
-            panels.append(Panel(coefficient, "1", both, shade=((0, 1),)))
-        panels += parts.context_panels({c: np.asarray(o.signals[c])[mine] for c in context if c in o.signals})
+            fitted = {"fitted (maximum likelihood)": run.fitted[mine, i]}
+            panels.append(compared_panel(coefficient, "1", measured[mine, i], fitted))
+        panels += parts.context_panels(o.signals, mine, lateral=Axis.LATERAL in run.model.axes)
         what = "Measured and fitted coefficients, and the manoeuvre flown,"
-        plots.append(parts.histories(name, f"time-fit-{order}", o.time[mine], panels, legend, what))
+        plots.append(parts.histories(name, f"time-fit-{order}", o.time[mine], panels, what))
     return [WORDS["paragraphs"]["fit"], more, plots, fit_table(run)]
 
 
@@ -332,7 +280,7 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
     if run.stall is None:
         why = "no posterior was sampled or the fit did not reach an optimum"
         return (f"CLmax and the stall angle are not given: {why}.",)
-    label = f"{engine_label(next(iter(estimates.chosen_posteriors(run))))}, {noise_label(run.noise)} noise"
+    label = f"{label_of(next(iter(estimates.chosen_posteriors(run))))}, {label_of(run.noise)} noise"
     return (
         parts.stall_table({label: run.stall}, "Intervals are those of the posterior."),
         "The figure at the top of the page shows lift, time spent at each angle of attack, and the drag polar.",
@@ -343,8 +291,7 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
 def _parameters(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
     return (
         parameter_table(run),
-        fold("Each manoeuvre fitted alone", alone_table(run)),
-        parts.symbols(run.model.parameters, ordered(run.mle.names, run.mle.parameters)),
+        parts.symbols(run.card, run.model.parameters, ordered(run.mle.names, run.mle.parameters)),
         gallery("crb_vs_credible", "forest"),  # the high one last: printed, it needs its own sheet
     )
 
@@ -354,7 +301,7 @@ def _validation(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
         return ("There are no hold-out data: this run trained no Gaussian process.",)
     return (
         validation_table(run, each_fold=False),
-        gallery("gpr_fit", "fig2_gpr_fit"),
+        gallery("fig2_gpr_fit"),
         fold("Measured against predicted", gallery(*CORRELATIONS.values())),
     )
 
@@ -366,7 +313,7 @@ def _diagnostics(run: Identification, gallery: Gallery) -> list[Any]:
     rank = {"rank": int(np.sum(eigen > 1e-11 * eigen.max())), "of": len(eigen), "least": eigen.min()}
     strong = [f"{a} and {b}: {r:+.3f}" for a, b, r in mle.strong_correlations()]
     return [
-        fold("Calibration of the posterior's predictions", coverage_table(run), gallery("pit")),
+        fold("Calibration of the posterior's predictions", gallery("pit")),
         fold("Convergence of the samplers: R-hat, effective sample size, rank plots", tables, drawn),
         fold("Prior and posterior", gallery("prior_posterior", "pair", "gp_prior_posterior")),
         fold(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,21 +12,18 @@ from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import Agreement, Consistency, HealthFinding, OpenError
 from bayes_aero.physics.aircraft import Axis
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Block, Facts, Fold, HtmlTable, Plot, Section, Text, blocks, fold, section
-from bayes_aero.report.html.plots import LOW, MOST, TIME, Line, Over, Panel, linked
+from bayes_aero.report.page import Block, Facts, Fold, HtmlTable, Plot, Section, Text, blocks, fold, section
 from bayes_aero.report.phrases import (
     WORDS,
-    bracket,
-    channel_axis,
+    axis_label,
     for_people,
     plain_unit,
     sentence,
     several,
     size_text,
-    symbol,
     unit_behind,
 )
+from bayes_aero.report.plots import LOW, MOST, TIME, Over, Panel, linked, measured_panel
 from bayes_aero.units import instant, number
 
 if TYPE_CHECKING:
@@ -43,22 +40,22 @@ DEG = 180.0 / np.pi
 SHOWN = 4  # departures in the sentence
 
 
-def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
+def consistency_sentences(sensors: Consistency, *, corrects: bool) -> list[str]:
     """The answer, then its limits. `corrects`: whether the command corrects known sensor errors by itself."""
-    if found.agreement is Agreement.NOT_CHECKED:
-        return [sentence("not_checked", why=found.why_not)]
-    sentences = [_answer(found, corrects=corrects)]
-    if found.unchecked:  # channels that could not be checked, and channels that were taken as zero
-        sentences.append(sentence("unchecked", channels=found.unchecked))
-    if assumed := dict.fromkeys(name for check in found.recorded for name in check.assumed):
+    if sensors.agreement is Agreement.NOT_CHECKED:
+        return [sentence("not_checked", why=sensors.why_not)]
+    sentences = [_answer(sensors, corrects=corrects)]
+    if sensors.unchecked:  # channels that could not be checked, and channels that were taken as zero
+        sentences.append(sentence("unchecked", channels=sensors.unchecked))
+    if assumed := dict.fromkeys(name for check in sensors.recorded for name in check.assumed):
         sentences.append(sentence("taken_as_zero", channels=assumed))
-    return [*sentences, *open_sentences(found)]
+    return [*sentences, *open_sentences(sensors)]
 
 
-def _answer(found: Consistency, *, corrects: bool) -> str:
-    if found.agreement is Agreement.AGREE:
+def _answer(sensors: Consistency, *, corrects: bool) -> str:
+    if sensors.agreement is Agreement.AGREE:
         return sentence("agree")
-    departures, listed = sorted(found.departures, key=lambda d: -d.rms / d.permitted), []
+    departures, listed = sorted(sensors.departures, key=lambda d: -d.rms / d.permitted), []
     for d in departures[:SHOWN]:  # the largest first
         standard = STANDARD_CHANNELS[d.channel]
         unit, factor = for_people(standard.unit)
@@ -67,15 +64,14 @@ def _answer(found: Consistency, *, corrects: bool) -> str:
         listed.append(sentence("departure", d=d, **span, **sizes))
     listed += [f"and {len(departures) - SHOWN} more"] if len(departures) > SHOWN else []
     where, errors = "; ".join(listed), []
-    for name, error in (found.errors or {}).items():
+    for name, error in (sensors.errors or {}).items():
         joint = joint_text(error.get("joint", {}))
-        together = f"; estimated together with {joint}: neither holds alone" if joint else ""
-        errors.append(f"{name} ({error_sizes(error)}{together})")
-    if found.agreement is Agreement.EXPLAINED:
+        errors.append(f"{name} ({error_sizes(error)}{f'; together with {joint}' if joint else ''})")
+    if sensors.agreement is Agreement.EXPLAINED:
         mend = "it is corrected here" if corrects else "it is not corrected here; diagnose corrects it"
         return sentence("disagree_explained", mend=mend, errors=errors, where=where)
     beside = f", after correction for {several(errors)}" if errors else ""
-    unsought = f" Known errors could not be tested: {found.unsought}." if found.unsought else ""
+    unsought = f" Known errors could not be tested: {sensors.unsought}." if sensors.unsought else ""
     return sentence("disagree_unexplained", where=where, beside=beside, unsought=unsought)
 
 
@@ -84,27 +80,27 @@ def joint_text(joint: Mapping[str, float]) -> str:
     return several(f"{other} (correlation {correlation:+.2f})" for other, correlation in joint.items())
 
 
-def open_sentences(found: Consistency) -> list[str]:
+def open_sentences(sensors: Consistency) -> list[str]:
     """Sensor errors that the flight path does not determine: fitted but not confirmed, then not testable."""
-    sentences, sizes = [], {e.name: f"{e.name} {size_text(e.mean, e.sd, e.unit)}" for e in found.open}
-    if asked := [e for e in found.open if e.asked]:
-        imitated = [sentence("imitated", e=e, among=_among(e)) if e.imitators else "" for e in asked]
-        listed = "; ".join(f"{sizes[e.name]}{others}" for e, others in zip(asked, imitated, strict=True))
+    sentences, sizes = [], {e.name: f"{e.name} {size_text(e.mean, e.sd, e.unit)}" for e in sensors.open}
+    if asked := [e for e in sensors.open if e.asked]:
+        imitated = {e.name: sentence("imitated", e=e, among=_among(e)) if e.imitators else "" for e in asked}
+        listed = "; ".join(f"{sizes[name]}{others}" for name, others in imitated.items())
         sentences.append(sentence("unconfirmed", listed=listed))
-    if either := [e for e in found.open if e.imitators and e.name in (found.errors or {})]:
+    if either := [e for e in sensors.open if e.imitators and e.name in (sensors.errors or {})]:
         listed = (f"{e.name} or {several(e.imitators)} (± {_among(e)} of {e.name} if all are possible)" for e in either)
         sentences.append(sentence("same_effect", listed="; ".join(listed)))
-    if joint := [e for e in found.open if e.joint]:
+    if joint := [e for e in sensors.open if e.joint]:
         listed = (f"{sizes[e.name]}, together with {joint_text(e.joint)}" for e in joint)
         sentences.append(sentence("together", listed="; ".join(listed)))
-    if alike := [e.name for e in _not_told_apart(found)]:
+    if alike := [e.name for e in _not_told_apart(sensors)]:
         sentences.append(sentence("alike", n=len(alike), names=alike))
     return sentences
 
 
-def _not_told_apart(found: Consistency) -> list[OpenError]:
+def _not_told_apart(sensors: Consistency) -> list[OpenError]:
     """Errors that are not testable, for others have the same effect; those that were found say so themselves."""
-    return [e for e in found.open if not e.asked and not e.joint and e.name not in (found.errors or {})]
+    return [e for e in sensors.open if not e.asked and not e.joint and e.name not in (sensors.errors or {})]
 
 
 def _among(error: OpenError) -> str:
@@ -119,23 +115,13 @@ def error_sizes(error: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} {size_text(size['mean'], size['sd'], size['unit'])}" for name, size in listed)
 
 
-def open_list(found: Consistency | None) -> Fold | None:
-    """Each error that others imitate, which those are, and how well it is known with them possible."""
-    alike = [] if found is None else _not_told_apart(found)
-    rows = tuple((e.name, several(e.imitators), f"± {_among(e)}") for e in alike)
-    title = "Errors of sensors and winds that others imitate along this flight path"
-    head = ("error", "not distinguishable from", "standard error\nif those are possible")
-    table = HtmlTable(title, head, rows, words=(1,)) if rows else None
-    return fold(f"The {len(alike)} errors that are not testable along this flight path", table)
-
-
 def warnings(sentences: Iterable[str]) -> list[Text]:
     """Sentences that are read first."""
     return [Text(one, "warning") for one in sentences]
 
 
 def doubts(
-    agreement: Consistency | None,
+    sensors: Consistency | None,
     health: Sequence[HealthFinding] = (),
     failures: Sequence[str] = (),
     *,
@@ -143,8 +129,8 @@ def doubts(
 ) -> list[Block]:
     """First part of a page: failed parts of the job, disagreement of the sensors, and faulty channels."""
     answer = []
-    if agreement is not None and agreement.agreement is not Agreement.AGREE:
-        answer = consistency_sentences(agreement, corrects=corrects)[:1]
+    if sensors is not None and sensors.agreement is not Agreement.AGREE:
+        answer = consistency_sentences(sensors, corrects=corrects)[:1]
     faults = (f"{finding.sentence}." for finding in health if finding.grave)
     return [*warnings(failures), *blocks(*answer), *warnings(faults)]
 
@@ -154,16 +140,13 @@ def doubts(
 
 @dataclass(frozen=True)
 class PageContext:
-    """What a page shows beside a result: card, records, provenance, figures by stem, and what was noted of the run."""
+    """What a page shows: card, records, provenance, drawn figures by stem, and the result of the job."""
 
     card: Card
     records: Sequence[FlightRecord]
     source: Mapping[str, Any]
-    figures: Mapping[str, Path] = field(default_factory=dict)
-    notes: Sequence[str] = ()  # parts that were left out, with the reason
-    consistency: Consistency | None = None
-    failures: Sequence[str] = ()  # parts that failed unexpectedly
-    health: Sequence[HealthFinding] = ()  # faults of channels
+    figures: Mapping[str, Path]
+    result: Any  # with `notes`, `consistency`, `failures`, `health`, and what its page shows
 
 
 GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
@@ -179,61 +162,38 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Any, ...]:
     if (rows := card.linear) is not None:
         units = {name: channel_units(card)[name] for name in (*rows.states, *rows.outputs, *rows.inputs)}
     shown = [name for name in units if any(record.has(name) for record in records)]
-    words = {n: n if symbol(n) == n else f"{n} {symbol(n)}" for n in shown}
-    words |= {"p": "roll rate p", "q": "pitch rate q", "r": "yaw rate r", "aileron_right": "right aileron"}
-    heads = [f"{words[name]}\n{bracket(for_people(units[name])[0])}" for name in shown]
+    heads = [axis_label(name, units[name]).replace(" [", "\n[") for name in shown]
     seconds, lines = [float(record.time[-1] - record.time[0]) for record in records], []
     for r, s in zip(records, seconds, strict=True):
-        ranges = (_range(r, name, units[name]) for name in shown)
+        ranges = []
+        for name in shown:
+            low, high = (for_people(units[name])[1] * f(r[name]) for f in (np.min, np.max)) if r.has(name) else (0, 0)
+            places = 0 if abs(high) >= 1000.0 else 1
+            ranges.append(f"{low:.{places}f} to {high:.{places}f}" if r.has(name) else "–")
         lines.append((r.name, f"{s:.1f}", str(r.n), f"{1.0 / r.dt:.4g}", str(len(r.channels)), *ranges))
-    described = {}
-    for name in sorted({name for record in records for name in record.channels}):
-        channel = STANDARD_CHANNELS.get(name)
-        unit = "" if channel is None else plain_unit(for_people(channel.unit)[0])
-        described[name] = "a channel of the card's own" if channel is None else f"{channel.description} [{unit}]"
     many = f"{len(records)} manoeuvres" if len(records) > 1 else "One manoeuvre"
+    title = "Records: smallest to largest value of the main channels"
+    head = ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads)
     return (
         f"{many}, {sum(seconds):.0f} s in all. Aircraft and model: {card.title} (card “{card.name}”).",
-        HtmlTable(
-            "Records: smallest to largest value of the main channels",
-            ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads),
-            tuple(lines),
-        ),
-        fold("Channels and signs", Facts(tuple(described.items())), conventions(card)),
+        HtmlTable(title, head, tuple(lines)),
     )
 
 
-def _range(record: FlightRecord, name: str, unit: str) -> str:
-    if not record.has(name):
-        return "–"
-    factor = for_people(unit)[1]
-    low, high = (factor * float(f(record[name])) for f in (np.min, np.max))
-    places = 0 if abs(high) >= 1000.0 else 1
-    return f"{low:.{places}f} to {high:.{places}f}"
-
-
-def records_section(context: PageContext | Any) -> Section:
+def records_section(card: Card, records: Sequence[FlightRecord], health: Sequence[HealthFinding]) -> Section:
     """`at_a_glance`, and faults of channels that no result uses; the other faults are in `doubts`."""
-    minor = [f"{finding.sentence}." for finding in context.health if not finding.grave]
-    return section("records", "The records at a glance", lambda: (minor, at_a_glance(context.records, context.card)))
+    minor = [f"{finding.sentence}." for finding in health if not finding.grave]
+    return section("records", "The records at a glance", lambda: (minor, at_a_glance(records, card)))
 
 
-def conventions(card: Card) -> str:
-    """Axes and signs of the card's model."""
-    said = WORDS["conventions"]
-    if card.linear is not None:
-        return said["linear"]
-    return f"{said['model']} {said['lateral']}" if Axis.LATERAL in card.axes else said["model"]
-
-
-def symbols(
-    parameters: Iterable[Parameter], names: Iterable[str], said: str = "", *, degrees: bool = False
-) -> Fold | None:
-    """Meaning of each parameter, and the conventions; `degrees` where the page shows angles in degrees."""
-    known = {p.name: p for p in parameters}
+def symbols(card: Card, parameters: Iterable[Parameter], names: Iterable[str], *, degrees: bool = False) -> Fold | None:
+    """Meaning of each parameter, axes and signs of the card's model; `degrees` where the page shows angles so."""
+    known, key = {p.name: p for p in parameters}, "lateral" if Axis.LATERAL in card.axes else ""
     units = {name: for_people(p.unit)[0] if degrees else p.unit for name, p in known.items()}
     facts = [(f"{n} [{plain_unit(units[n])}]", known[n].description) for n in names if n in known]
-    return fold("What the parameters mean", Facts(tuple(facts)), said or WORDS["conventions"]["model"])
+    about = WORDS["conventions"]
+    signs = about["linear"] if card.linear is not None else f"{about['model']} {about.get(key, '')}"
+    return fold("What the parameters mean", Facts(tuple(facts)), signs)
 
 
 def not_testable_list(reasons: Mapping[str, str]) -> Fold | None:
@@ -253,9 +213,8 @@ def terms(table: str) -> Fold | None:
 
 # --- Time histories.
 
-MEASURED = ("measured", COLOURS["measured"], "solid")  # in legends
 MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
-CONTEXT = ("alpha", "elevator", "q", "airspeed", "altitude")
+CONTEXT = ("alpha", "elevator", "stabilizer", "q", "thrust", "airspeed")
 SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
 
 
@@ -265,41 +224,31 @@ def first(names: Sequence[str]) -> tuple[Sequence[str], str]:
     return names[:MOST_SHOWN], more
 
 
-def context_panels(channels: Mapping[str, np.ndarray]) -> list[Panel]:
-    """Low panels of measured channels (SI), below those of outputs."""
-    panels = []
-    for name, values in channels.items():
-        shown, unit, factor = channel_axis(name)
-        panels.append(Panel(shown, unit, (Line("measured", COLOURS["measured"], factor * values),), height=LOW))
-    return panels
+def context_panels(channels: Mapping[str, Any], mine: np.ndarray, *, lateral: bool) -> list[Panel]:
+    """Low panels of measured channels (SI) that moved in the samples `mine`, below those of outputs."""
+    known = {n: np.asarray(channels[n], float)[mine] for n in (SIX_CONTEXT if lateral else CONTEXT) if n in channels}
+    return [measured_panel(name, values, height=LOW) for name, values in known.items() if np.ptp(values) > 0.0]
 
 
-def histories(
-    name: str,
-    key: str,
-    time: np.ndarray,
-    panels: Sequence[Panel],
-    legend: tuple[tuple[str, str, str], ...],
-    what: str,
-    over: Over = TIME,
-) -> Plot:
-    """One manoeuvre's panels; `what` begins the words that describe them."""
+def histories(name: str, key: str, time: np.ndarray, panels: Sequence[Panel], what: str, over: Over = TIME) -> Plot:
+    """One manoeuvre's panels, the first of which has the curves of the legend; `what` begins the words on them."""
+    lines = panels[0].lines
+    legend = [(line.label, line.colour, line.style) for line in lines]
+    errors = [lines[k] for first, k in panels[0].shade if not first]
+    legend += [(f"error of the {line.label}", line.colour, "area") for line in errors]
+    legend += [("tolerance", "#999999", "area")] if any(panel.band is not None for panel in panels) else []
     alt = f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {several(p.label for p in panels)}."
     caption = sentence("thinned", n=len(time)) if len(time) > MOST else ""
-    return Plot(linked(time - time[0], panels, key, over), legend, alt, caption, name)
+    return Plot(linked(time - time[0], panels, key, over), tuple(dict.fromkeys(legend)), alt, caption, name)
 
 
 # --- The stall in numbers.
 
-MOST_PLACES = 6  # digits behind the point
-
 
 def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
-    """Median and 95 % interval, with more digits where these many show no width."""
-    low, middle, high = (factor * x for x in (value.low, value.median, value.high))
-    while places < MOST_PLACES and low < high and f"{low:.{places}f}" == f"{high:.{places}f}":
-        places += 1
-    return f"{middle:.{places}f} ({low:.{places}f} to {high:.{places}f})"
+    """Median and 95 % interval."""
+    low, middle, high = (f"{factor * x:.{places}f}" for x in (value.low, value.median, value.high))
+    return f"{middle} ({low} to {high})"
 
 
 def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[HtmlTable | Text, ...]:
@@ -329,37 +278,31 @@ def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[HtmlTable | Tex
 # --- Inputs, versions and the command, which reproduce the run.
 
 
-def provenance_blocks(
-    source: Mapping[str, Any], notes: Sequence[str] = (), seconds: Mapping[str, float] | None = None
-) -> tuple[Any, ...]:
-    """What reproduces the run, with notes before it."""
-    inputs = tuple((i["name"], i["source"], i["sha256"] or "–") for i in source.get("inputs", ()))
-    inputs += tuple((str(c["name"]), "card", str(c["sha256"])) for c in (source.get("card"),) if c)
-    inputs += tuple((f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ()))
-    facts = [
-        ("Command", str(source.get("command", "–"))),
-        *([("Seed", str(source["seed"]))] if "seed" in source else []),
-        *((str(k).replace("_", " "), str(v)) for k, v in dict(source.get("settings", {})).items()),
-        ("Written", str(source.get("written", "–"))),
-        *((str(k), str(v)) for k, v in dict(source.get("platform", {})).items()),
-    ]
-    versions = tuple((k, str(v)) for k, v in dict(source.get("versions", {})).items())
-    spent = several(f"{stage} {number(float(s), 2)} s" for stage, s in (seconds or {}).items())
-    return (
-        warnings(notes),
-        Facts(tuple(facts)),
-        HtmlTable("Inputs", ("name", "file", "SHA-256"), inputs, words=(1, 2)) if inputs else None,
-        fold("Versions", Facts(versions)),
-        f"Time spent: {spent}." if spent else None,
-    )
-
-
-def provenance_section(source: Mapping[str, Any], *shown: Any, folded: bool = False) -> Section:
-    """The last section of every page."""
+def provenance_section(
+    source: Mapping[str, Any],
+    notes: Sequence[str] = (),
+    seconds: Mapping[str, float] | None = None,
+    *,
+    folded: bool = False,
+) -> Section:
+    """The last section of every page: what reproduces the run, with notes before it."""
     title = "Inputs, versions and the command that repeat the run"
 
     def make() -> Any:
-        made = provenance_blocks(source, *shown)
+        inputs = [(i["name"], i["source"], i["sha256"] or "–") for i in source.get("inputs", ())]
+        inputs += [(str(c["name"]), "card", str(c["sha256"])) for c in (source.get("card"),) if c]
+        inputs += [(f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ())]
+        facts = {"Command": source.get("command", "–")} | ({"Seed": source["seed"]} if "seed" in source else {})
+        facts |= {str(k).replace("_", " "): v for k, v in dict(source.get("settings", {})).items()}
+        facts |= {"Written": source.get("written", "–")} | dict(source.get("platform", {}))
+        spent = several(f"{stage} {number(float(s), 2)} s" for stage, s in (seconds or {}).items())
+        made = (
+            warnings(notes),
+            Facts(tuple((str(k), str(v)) for k, v in facts.items())),
+            HtmlTable("Inputs", ("name", "file", "SHA-256"), tuple(inputs), words=(1, 2)) if inputs else None,
+            fold("Versions", Facts(tuple((k, str(v)) for k, v in dict(source.get("versions", {})).items()))),
+            f"Time spent: {spent}." if spent else None,
+        )
         return fold(title, made) if folded else made
 
     return section("provenance", "Provenance", make)

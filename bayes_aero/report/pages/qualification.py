@@ -7,11 +7,10 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Facts, HtmlTable, Plot, Points, Report, fold, section
-from bayes_aero.report.html.plots import LOW, Line, Panel
+from bayes_aero.report.page import Facts, HtmlTable, Plot, Report, fold, section
 from bayes_aero.report.pages import parts
-from bayes_aero.report.phrases import WORDS, amounts, for_people, sentence, several, symbol
+from bayes_aero.report.phrases import WORDS, amounts, for_people, sentence, several, symbol, unit_behind
+from bayes_aero.report.plots import COLOURS, LOW, Line, Panel
 from bayes_aero.report.table import NONE, Column, Table, columns_of, table
 from bayes_aero.units import number
 
@@ -40,14 +39,14 @@ def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
         column(lambda p: p["seconds"], "seconds", "time\n[s]", "time\n[s]", form=".0f"),
     ]
     for name, (unit, factor, form) in RANGES.items():
-        found, shown = [p["excursion"].get(name) for p in points], []
-        for pair in found:
+        ranges, shown = [p["excursion"].get(name) for p in points], []
+        for pair in ranges:
             low, high = ("", "") if pair is None else (form.format(factor * x) for x in pair)
             greatest = "" if pair is None else form.format(max(factor * pair[1], 0.0))
             shown.append(greatest if name == "altitude_loss" or pair is None else f"{low} to {high}")
         columns.append(Column(shown, "", f"{name.replace('_', ' ')}\n[{unit}]", form=str))
         for k, end in enumerate(("least", "greatest")):
-            columns.append(Column([None if x is None else x[k] for x in found], f"{name}_{end}"))
+            columns.append(Column([None if x is None else x[k] for x in ranges], f"{name}_{end}"))
     return columns
 
 
@@ -62,10 +61,9 @@ def points_table(asked: Mapping[str, Any]) -> Table:
     return table("points", columns, enough=max(q["enough"] for q in asked["questions"]))
 
 
-def _order_sentence(points: Sequence[Mapping[str, Any]]) -> str:
-    """What to fly, in the order of flying."""
+def _order_sentence(points: Sequence[Mapping[str, Any]]) -> list[str]:
     flown = [sentence("test_point", p=p, manoeuvre=str(p["manoeuvre"]).replace("_", " ")) for p in points]
-    return f"Next test points, in this order: {several(flown)}."
+    return [f"Next test points, in this order: {several(flown)}."] if flown else []
 
 
 def points_sentences(asked: Mapping[str, Any]) -> tuple[str, ...]:
@@ -73,7 +71,7 @@ def points_sentences(asked: Mapping[str, Any]) -> tuple[str, ...]:
     if not asked:
         return ()
     points = asked["points"]
-    sentences = [_order_sentence(points)] if points else []
+    sentences = _order_sentence(points)
     for k, question in enumerate(asked["questions"]):
         after = points[-1]["standard_errors"][k] if points else question["present"]
         key = "decides" if after >= question["enough"] else "decides_not"
@@ -86,36 +84,33 @@ def points_sentences(asked: Mapping[str, Any]) -> tuple[str, ...]:
 MOST = 6  # tests that are named in a sentence
 
 
-def further_table(found: Further) -> Table:
+def further_table(further: Further) -> Table:
     """A row for each test point, in the order of flying."""
-    columns = point_columns([asdict(p) for p in found.points])
-    decidable = [(k, test) for k, test in enumerate(found.tests) if test.decidable]
-    for k, test in decidable:
-        head = _label(test).replace(" of ", "\n", 1)
-        columns.append(Column([p.expected[k] for p in found.points], page=head, form=".2f", group="then probability"))
+    columns = point_columns([asdict(p) for p in further.points])
+    for k, test in ((k, test) for k, test in enumerate(further.tests) if test.decidable):
+        head, expected = _label(test).replace(" of ", "\n", 1), [p.expected[k] for p in further.points]
+        columns.append(Column(expected, page=head, form=".2f", group="then probability"))
     return table("further", columns)
 
 
-def further_sentences(found: Further | None) -> tuple[str, ...]:
+def further_sentences(further: Further | None) -> tuple[str, ...]:
     """What to fly, and which tests no flight decides."""
-    if found is None:
+    if further is None:
         return ()
-    if found.why_not:
-        return (f"No test points for the undecided tolerances: {found.why_not}.",)
-    said = []
-    undecidable = [_label(t) for t in found.tests if not t.decidable]
-    if found.points:
-        said.append(_order_sentence([asdict(p) for p in found.points]))
-        both = zip(found.tests, found.points[-1].expected, strict=True)
+    if further.why_not:
+        return (f"No test points for the undecided tolerances: {further.why_not}.",)
+    undecidable, texts = [_label(t) for t in further.tests if not t.decidable], []
+    if further.points:
+        both = zip(further.tests, further.points[-1].expected, strict=True)
         chances = [f"{_label(t)} {x:.2f} (now {t.present:.2f})" for t, x in both if t.decidable]
-        said.append(f"Expected probabilities to pass with these points: {several(chances[:MOST])}.")
-    elif len(undecidable) < len(found.tests):
-        said.append(sentence("no_point_helps"))
-    return (*said, *([sentence("structure_open", tests=several(undecidable, MOST))] if undecidable else []))
+        texts += _order_sentence([asdict(p) for p in further.points])
+        texts.append(f"Expected probabilities to pass with these points: {several(chances[:MOST])}.")
+    elif len(undecidable) < len(further.tests):
+        texts.append(sentence("no_point_helps"))
+    return (*texts, *([sentence("structure_open", tests=several(undecidable, MOST))] if undecidable else []))
 
 
 def _label(test: OpenTolerance) -> str:
-    """Output, manoeuvre, and whether it is flown on the next flight."""
     ahead = " on the next flight" if test.kind.name == "NEXT" else ""
     return f"{symbol(test.output)} of {test.manoeuvre}{ahead}"
 
@@ -142,25 +137,25 @@ def chance_text(chance: Chance | None) -> str:
     return f"{chance.value:z.3f} ± {chance.error:.3f}"
 
 
-def verdict_table(found: Qualification) -> Table:
+def verdict_table(q: Qualification) -> Table:
     """A row for each tolerance."""
-    column = columns_of(list(found.tolerances))
+    column = columns_of(list(q.tolerances))
 
     def least(kind: str, page: str, terminal: str) -> Column:
-        of = {output: [t.chance for t in found.of(output) if t.kind.name == kind] for output in found.tolerances}
-        weakest = {
-            output: min(chances, key=lambda chance: chance.value, default=None) for output, chances in of.items()
-        }
-        return column(lambda output: chance_text(weakest[output]), "", page, terminal)
+        def of(output: str) -> str:
+            chances = [t.chance for t in q.of(output) if t.kind.name == kind]
+            return chance_text(min(chances, key=lambda chance: chance.value, default=None))
+
+        return column(of, "", page, terminal)
 
     def records(output: str) -> str:
-        beside = [t.recorded for t in found.of(output) if t.recorded is not None]
-        return f"{sum(one.passed for one in beside)} of {len(beside)}"
+        passed = [t.recorded.passed for t in q.of(output) if t.recorded is not None]
+        return f"{sum(passed)} of {len(passed)}"
 
-    new = any(test.kind.name == "TEST" for test in found.tests)
+    new = any(test.kind.name == "TEST" for test in q.tests)
     columns = [
-        column(lambda n: band(n, found.tolerances[n][0]), "", "tolerance", "tolerance"),
-        column(lambda n: found.verdict(n).value, "", "verdict", "verdict"),
+        column(lambda n: band(n, q.tolerances[n][0]), "", "tolerance", "tolerance"),
+        column(lambda n: q.verdict(n).value, "", "verdict", "verdict"),
         column(records, "", "records\ninside", "records inside"),
         least("AGAIN", "fitted,\nflown again", "again"),
         *([least("TEST", "not fitted", "not fitted")] if new else []),
@@ -169,11 +164,11 @@ def verdict_table(found: Qualification) -> Table:
     return table("verdicts", columns)
 
 
-def test_table(found: Qualification) -> Table:
+def test_table(q: Qualification) -> Table:
     """A row for each manoeuvre and output."""
-    rows = list(found.tests)
+    rows = list(q.tests)
     column = columns_of(rows)
-    away = {one.manoeuvre for one in found.outside if one.motion in ("recorded", "simulated")}
+    away = {o.manoeuvre for o in q.outside if o.motion in ("recorded", "simulated")}
     largest = [t.recorded and "".join(amounts(STANDARD_CHANNELS[t.output].unit, t.recorded.largest)) for t in rows]
     record = "record beside simulation"
     columns = [
@@ -200,140 +195,94 @@ def test_table(found: Qualification) -> Table:
     return table("tests", columns, index=3, below=below)
 
 
-def outside_table(found: Qualification) -> Table:
-    """A row for each motion that leaves the flown region."""
-    column = columns_of(list(found.outside))
-    columns = [
-        column(lambda o: o.manoeuvre, "manoeuvre", "manoeuvre"),
-        column(lambda o: o.motion, "motion", "motion", words=True),
-        column(lambda o: o.share, "share", "samples\noutside", form=".0%"),
-        column(lambda o: o.distance, "distance", "farthest", form=".2f"),
-        column(lambda o: o.time, "time", "at, s", form=".1f"),
-        column(_excess, "", "from the nearest flown point", words=True),
-    ]
-    return table("region", columns, channels=found.channels)
-
-
-def _excess(one: Outside) -> str:
+def _excess(o: Outside) -> str:
     """By channel, in the units of people; what is less than a thousandth of a unit is left out."""
-    listed = []
-    for name, x in one.excess.items():
-        unit, factor = for_people(STANDARD_CHANNELS[name].unit)
-        if abs(factor * x) >= NEGLIGIBLE:
-            listed.append(f"{symbol(name)} {factor * x:+.2g} {'' if unit == '1' else unit}".strip())
-    return ", ".join(listed)
+    units = {name: for_people(STANDARD_CHANNELS[name].unit) for name in o.excess}
+    sizes = {name: units[name][1] * x for name, x in o.excess.items()}
+    shown = {name: x for name, x in sizes.items() if abs(x) >= NEGLIGIBLE}
+    return ", ".join(f"{symbol(name)} {x:+.2g}{unit_behind(units[name][0])}" for name, x in shown.items())
 
 
-def verdict_sentence(found: Qualification) -> str:
+def verdict_sentence(q: Qualification) -> str:
     """The model's verdict, and the tolerances that decide it."""
     by: dict[str, list[str]] = {"passes": [], "undecided": [], "fails": []}
-    for name, (half, _) in found.tolerances.items():
-        by[found.verdict(name).value].append(band(name, half))
+    for name, (half, _) in q.tolerances.items():
+        by[q.verdict(name).value].append(band(name, half))
     listed = [f"{word.capitalize()}: {several(names)}" for word, names in by.items() if names]
-    return f"{sentence(f'model_{found.whole.value}')} {'. '.join(listed)}."
+    return f"{sentence(f'model_{q.whole.value}')} {'. '.join(listed)}."
 
 
-def sentences(found: Qualification) -> tuple[str, ...]:
-    """Weakest tests, agreement of the probabilities with the records, and extrapolation."""
-    said = []
+def sentences(q: Qualification) -> tuple[str, ...]:
+    """Whether the probabilities agree with the records, and extrapolation."""
+    texts = []
     for kind, words in (("AGAIN", "fitted manoeuvre flown again"), ("TEST", "manoeuvre that was not fitted")):
-        if tests := [t for t in found.tests if t.kind.name == kind]:
+        if tests := [t for t in q.tests if t.kind.name == kind]:
             expected = sum(t.chance.value for t in tests)
             passed = sum(t.recorded is not None and t.recorded.passed for t in tests)
-            said.append(sentence("expected_passes", n=len(tests), words=words, expected=expected, passed=passed))
-    if following := [t for t in found.tests if t.kind.name == "NEXT"]:
-        least = min(following, key=lambda t: t.chance.value)
-        chance, half = chance_text(least.chance), band(least.output, least.tolerance)
-        said.append(sentence("weakest", band=half, manoeuvre=least.manoeuvre, chance=chance))
-    return (*said, *region_sentences(found))
+            texts.append(sentence("expected_passes", n=len(tests), words=words, expected=expected, passed=passed))
+    return (*texts, *region_sentences(q))
 
 
-def region_sentences(found: Qualification) -> list[str]:
+def region_sentences(q: Qualification) -> list[str]:
     """Where manoeuvres leave the flown region."""
-    said = [sentence("outside_region", one=one, excess=_excess(one)) for one in found.outside]
-    said = said or [sentence("inside_region", channels=found.channels)]
-    return said + ([sentence("region_unjudged", channels=found.unjudged)] if found.unjudged else [])
+    texts = [sentence("outside_region", o=o, excess=_excess(o)) for o in q.outside]
+    texts = texts or [sentence("inside_region", channels=q.channels)]
+    return texts + ([sentence("region_unjudged", channels=q.unjudged)] if q.unjudged else [])
 
 
 # --- The page that an evaluator signs or refuses.
 
 BLANK = "\u00a0" * 30
-FLIGHTS = "#56B4E9"
+FLIGHTS, ORIGIN = "#56B4E9", "Origin of the tolerances"
 
 
-def qualification_page(found: Qualification, card: Card, source: Mapping[str, Any]) -> Report:
+def qualification_page(q: Qualification, card: Card, source: Mapping[str, Any]) -> Report:
     """The page; its first screen is what is signed. `source` is its provenance."""
     lines = (("☐ accepted", BLANK, BLANK, BLANK), ("☐ refused, because", BLANK, BLANK, BLANK))
     signature = HtmlTable("Decision of the evaluator", ("", "name", "signature", "date"), lines, words=(1, 2, 3))
-    said, further = WORDS["qualification"], found.further
-    origins = tuple((name.capitalize(), text) for name, text in found.origins.items())
-    tolerances = tuple((name, origin) for name, (_, origin) in found.tolerances.items())
-    draws = f"{found.draws} flights are drawn for every test."
-    counted = (said["definition"], Facts(origins), [draws, *said["counting"]], list(found.notes))
-    read = ("Read:", said["read"], "Not read, or not of the rule:", Points(tuple(said["unread"])))
+    words, further = WORDS["qualification"], q.further
+    origins = tuple((name.capitalize(), text) for name, text in q.origins.items())
+    tolerances = tuple((name, origin) for name, (_, origin) in q.tolerances.items())
+    draws = f"{q.draws} flights are drawn for every test."
+    counted = (words["definition"], Facts(origins), [draws, *words["counting"]], list(q.notes))
+    read = ("Read:", words["read"], "Not read, or not of the rule:", words["unread"])
+    what = further_table(further) if further and further.points else None
+
+    def strips() -> list[Any]:
+        following, flown = ([s for s in q.strips if (s.kind.name == "NEXT") is ahead] for ahead in (True, False))
+        shown, hidden = ([_strip(s, q) for s in of[: parts.MOST_SHOWN]] for of in (flown, following))
+        more = parts.first([s.manoeuvre for s in flown])[1]
+        return [WORDS["paragraphs"]["strips"], more, shown, fold("The same manoeuvres on the next flight", hidden)]
+
     return Report(
         title=f"Qualification: {card.title}",
         subtitle="Probability that the simulation stays inside its tolerances",
-        verdict=verdict_sentence(found),
-        lead=[
-            parts.doubts(found.consistency, found.health),
-            verdict_table(found),
-            list(sentences(found)),
-            signature,
-        ],
+        verdict=verdict_sentence(q),
+        lead=[parts.doubts(q.consistency, q.health), verdict_table(q), list(sentences(q)), signature],
         sections=[
-            section(
-                "further",
-                "What would decide the rest",
-                lambda: (
-                    list(further_sentences(further)),
-                    further_table(further) if further and further.points else None,
-                ),
-            ),
-            section("strips", "Strips", lambda: _strips(found)),
-            section("tests", "Every test", lambda: test_table(found)),
-            section(
-                "region", "Extrapolation", lambda: outside_table(found) if found.outside else region_sentences(found)
-            ),
+            section("further", "What would decide the rest", lambda: (list(further_sentences(further)), what)),
+            section("strips", "Strips", strips),
+            section("tests", "Every test", lambda: test_table(q)),
+            section("region", "Extrapolation", lambda: region_sentences(q)),
             section("counted", "What is counted", lambda: counted),
-            section(
-                "rule",
-                "The rule, and what of it was read",
-                lambda: (read, fold("Origin of the tolerances", Facts(tolerances))),
-            ),
+            section("rule", "The rule, and what of it was read", lambda: (read, fold(ORIGIN, Facts(tolerances)))),
             parts.provenance_section(source, folded=True),
         ],
     )
 
 
-def _strips(found: Qualification) -> list[Any]:
-    flown, following = ([s for s in found.strips if (s.kind.name == "NEXT") is ahead] for ahead in (False, True))
-    shown, more = flown[: parts.MOST_SHOWN], parts.first([s.manoeuvre for s in flown])[1]
-    hidden = [_strip(s, found, f"next-{k}") for k, s in enumerate(following[: parts.MOST_SHOWN])]
-    open_ones = [_strip(s, found, f"flown-{k}") for k, s in enumerate(shown)]
-    return [WORDS["paragraphs"]["strips"], more, open_ones, fold("The same manoeuvres on the next flight", hidden)]
-
-
-def _strip(strip: Strip, found: Qualification, key: str) -> Plot:
-    """A panel for each output with a tolerance."""
-    panels, record, colour = [], "record", COLOURS["measured"]
-    if strip.kind.name == "NEXT":
-        record, colour = "record of the manoeuvre", COLOURS["prior"]
-    for output, (tolerance, _) in found.tolerances.items():
+def _strip(strip: Strip, q: Qualification) -> Plot:
+    ahead, panels = strip.kind.name == "NEXT", []
+    record = "record of the manoeuvre" if ahead else "record"
+    for output, (tolerance, _) in q.tolerances.items():
         unit, factor = for_people(STANDARD_CHANNELS[output].unit)
         lines = (
             Line("simulation", COLOURS["after"], factor * strip.simulated[output]),
-            Line(record, colour, factor * strip.measured[output], width=1.0),
-            Line("flights, 2.5 %", FLIGHTS, factor * strip.low[output], width=0.6),
-            Line("flights, 97.5 %", FLIGHTS, factor * strip.high[output], width=0.6),
+            Line(record, COLOURS["prior" if ahead else "measured"], factor * strip.measured[output], width=1.0),
+            Line("95 % of flights", FLIGHTS, factor * strip.low[output], width=0.6),
+            Line("95 % of flights", FLIGHTS, factor * strip.high[output], width=0.6),
         )
         panels.append(Panel(symbol(output), unit, lines, shade=((2, 3),), band=factor * tolerance, height=LOW))
-    legend = (
-        ("simulation", COLOURS["after"], "solid"),
-        (record, colour, "solid"),
-        ("95 % of flights", FLIGHTS, "area"),
-        ("tolerance", "#999999", "area"),
-    )
     what = "Simulation with its tolerance, record and central 95 % of flights"
     name = f"{strip.manoeuvre}, {SHOWN[strip.kind.name]}"
-    return parts.histories(name, f"time-{key}", strip.time, panels, legend, what)
+    return parts.histories(name, f"time-{strip.kind.name.lower()}-{strip.manoeuvre}", strip.time, panels, what)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,20 +11,15 @@ import numpy as np
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import TOLERANCES
-from bayes_aero.inference.results import COLOURED_INNOVATIONS
-from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.time_histories import MODELS, Curve, output_panels
-from bayes_aero.report.html.page import Facts, Fold, Plot, fold
-from bayes_aero.report.html.plots import Panel
+from bayes_aero.report.page import Facts, Fold, fold
 from bayes_aero.report.pages import parts
-from bayes_aero.report.pages.estimates import engine_label
+from bayes_aero.report.pages.estimates import label_of
 from bayes_aero.report.phrases import (
     WORDS,
     amounts,
     axis_label,
     for_people,
     nats_text,
-    plain_unit,
     plus_minus,
     sentence,
     several,
@@ -33,22 +27,15 @@ from bayes_aero.report.phrases import (
     size_text,
     symbol,
 )
-from bayes_aero.report.table import BeforeAfter, Column, Estimate, Table, columns_of, in_brackets, table
+from bayes_aero.report.plots import MODELS, output_panels
+from bayes_aero.report.table import BeforeAfter, Column, Estimate, Table, in_brackets, parameter_columns, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import (
-        Disagreement,
-        Error,
-        ProcessNoise,
-        SimulatedManoeuvre,
-        Trajectories,
-        TrajectoryFit,
-    )
+    from bayes_aero.diagnosis.result import Disagreement, ProcessNoise, SimulatedManoeuvre, Trajectories, TrajectoryFit
     from bayes_aero.flight.card import Card
-    from bayes_aero.inference.results import Marginal, OneStep, Posterior
+    from bayes_aero.inference.results import OneStep, Posterior
 
-CARD, EXTENDED = (model for model, *_ in MODELS)
 SI = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
 
 
@@ -56,7 +43,7 @@ def simulation_gain(flown: Trajectories) -> str:
     """RMS errors of both models over all hold-out flights; empty if they are equal or a model leaves the envelope."""
     unseen, listed = [p for p in flown.paths if p.split == "hold_out"], []
     for output in flown.outputs:
-        rms = [[p.errors[output].rms for p in unseen if p.model == model] for model in (CARD, EXTENDED)]
+        rms = [[p.errors[output].rms for p in unseen if p.model == model] for model in MODELS]
         if not all(p.inside for p in unseen) or not all(rms) or not all(np.isfinite(of).all() for of in rms):
             return ""
         joint = (float(np.sqrt(np.mean(np.square(of)))) for of in rms)
@@ -70,26 +57,15 @@ def simulation_gain(flown: Trajectories) -> str:
     return " ".join([gain, *status_sentences(flown)])
 
 
-def trajectory_sentences(flown: Trajectories, *, tolerances: bool = True) -> list[str]:
-    """How the fits ended, what was held, and, if asked, the share of time within the tolerances."""
+def trajectory_sentences(flown: Trajectories) -> list[str]:
+    """How the fits ended, what was held, and what the tests of a lag and of causes gave."""
     sentences = [*status_sentences(flown), *lag_sentences(flown), *cause_sentences(flown)]
     sentences += [sentence("held_alone", name=name, held=held) for name, held in flown.held.items() if held]
     if flown.extended.held:
         sentences.append(sentence("held_by_prior", names=flown.extended.held))
-    unseen = [p for p in flown.paths if (p.model, p.split) == (EXTENDED, "hold_out")]
+    unseen = [p for p in flown.paths if (p.model, p.split) == ("extended", "hold_out")]
     if lost := [p.manoeuvre for p in unseen if not p.inside]:
         sentences.append(sentence("leaves_envelope", names=lost))
-    inside, listed = [p for p in unseen if p.inside], []
-    for output in flown.outputs if tolerances else ():
-        shares = {p.manoeuvre: x for p in inside if (x := p.errors[output].within) is not None}
-        if shares:
-            worst = min(shares, key=lambda name: shares[name])
-            where = f" (least, {worst})" if len(shares) > 1 and shares[worst] < max(shares.values()) else ""
-            listed.append(f"{symbol(output)} {shares[worst]:.0%}{where}")
-    if listed:
-        what = "every flight is" if len(inside) > 1 else f"{inside[0].manoeuvre} is"
-        origin = tolerance_origin({n: e.tolerance for n, e in inside[0].errors.items() if e.tolerance is not None})
-        sentences.append(sentence("within_tolerance", what=what, listed=", ".join(listed), origin=origin))
     return sentences
 
 
@@ -148,72 +124,62 @@ def status_sentences(flown: Trajectories) -> list[str]:
 
 # --- Errors and time inside the tolerances, by flight and output.
 
-TAIL = 6  # characters of a manoeuvre's name on a terminal
 SPLIT_NAMES = {"fitted": "fitted", "hold_out": "hold-out"}
 """What people read, by the split of a simulated path."""
-BOTH = ("before", "after")
-Flights = list[tuple[str, str]]
 
 
-def hold_out_error_table(flown: Trajectories) -> Table:
-    """Root mean square error of every output, fitted jointly and on hold-out flights: card's model, extended model."""
-    flights, columns = _flights(flown)
-    for output in flown.outputs:
-        label, factor = axis_label(output, SI[output]), for_people(SI[output])[1]
-        errors = _changes(flown, flights, output, lambda e, factor=factor: factor * e.rms)
-        columns.append(Column(errors, "", BOTH, label, short, group=label))
-    status = "".join(f" {said}" for said in status_sentences(flown))
-    return table("hold_out_errors", columns, status=status)
+def error_table(
+    key: str,
+    flights: Mapping[str, Sequence[SimulatedManoeuvre | None]],
+    units: Mapping[str, str],
+    heads: tuple[str, ...],
+    fitted: Sequence[str] | None = None,
+    **texts: str,
+) -> Table:
+    """A row for each output of each flight: errors of its paths, as `heads` name them; Theil's parts of the last.
 
-
-def hold_out_tolerance_table(flown: Trajectories) -> Table:
-    """Share of the time inside the tolerance, and how probably the extended model stays inside all the time."""
-    flights, columns = _flights(flown)
-    banded = [n for n in flown.outputs if any(p.errors[n].within is not None for p in flown.paths)]
-    for output in banded:
-        inside = _changes(flown, flights, output, lambda e: e.within)
-        columns.append(Column(inside, "", BOTH, form=".0%", group=axis_label(output, SI[output])))
-    least = []
-    for split, name in flights:
-        path = flown.path(name, EXTENDED, split)
-        chances = [] if path is None else [path.errors[n].probability for n in banded]
-        least.append(min((chance for chance in chances if chance is not None), default=None))
-    columns.append(Column(least, page="whole flight inside,\nweakest output", form=".0%", group="probability"))
-    return table("hold_out_tolerances", columns)
-
-
-def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
-    """Errors of one model's simulation by flight and output."""
-    columns = [Column([path.manoeuvre for path in paths], page="flight")]
-    for output in paths[0].errors:
-        label, factor = axis_label(output, SI[output]), for_people(SI[output])[1]
-        errors = [path.errors[output] for path in paths]
-        columns += [
-            Column([factor * error.rms for error in errors], page="RMS", form=short, group=label),
-            Column([error.within for error in errors], page="inside", form=".0%", group=label),
-        ]
-    return table("given", columns)
-
-
-def _flights(flown: Trajectories) -> tuple[Flights, list[Column]]:
-    """Split and manoeuvre of each flight, and the columns that name them."""
-    found = ((split, p.manoeuvre) for split in SPLIT_NAMES for p in flown.paths if p.split == split)
-    flights = list(dict.fromkeys(found))
-    # the end of a record's name usually distinguishes records, for the width of a terminal
-    tails = [name if len(name) <= TAIL + 1 else f"…{name[-TAIL:]}" for _, name in flights]
-    return flights, [
-        Column(tails, terminal="manoeuvre"),
-        Column([SPLIT_NAMES[split] for split, _ in flights], terminal=""),
-        Column([f"{name}, {SPLIT_NAMES[split]}" for split, name in flights], page="flight"),
+    On a page also the time inside tolerances, where there are any, and how probably the whole flight is inside.
+    """
+    each, rows = len(heads) > 1, []
+    for flight, paths in flights.items():
+        for n in next(path for path in paths if path is not None).errors:
+            star = "" if fitted is None or n in fitted else " *"
+            errors = [None if path is None else path.errors[n] for path in paths]
+            rows.append((flight, f"{axis_label(n, units[n])}{star}", errors, for_people(units[n])[1]))
+    rms = [[e and f * e.rms for e in errors] for *_, errors, f in rows]
+    within = [[e and e.within for e in errors] for *_, errors, _ in rows]
+    last, page = [errors[-1] for *_, errors, _ in rows], heads if each else heads[0]
+    shares = "shares of the squared error"
+    largest = [e and f * e.largest for e, (*_, f) in zip(last, rows, strict=True)]
+    columns = [
+        Column([flight for flight, *_ in rows], terminal="manoeuvre", words=True),
+        Column([label for _, label, *_ in rows], "", "output", "output"),
+        Column([BeforeAfter(*x) if each else x[0] for x in rms], "", page, " → ".join(heads), short, group="RMS"),
+        Column(largest, "", heads[-1], "largest", short, group="largest"),
+        Column([e and e.theil.theil for e in last], "", heads[-1], "U", ".3f", group="Theil U"),
     ]
+    for part, head in (("bias", "bias"), ("variance", "var."), ("covariance", "cov.")):
+        columns.append(Column([e and getattr(e.theil, part) for e in last], "", part, head, ".0%", group=shares))
+    if any(x is not None for inside in within for x in inside):
+        bands = [e and e.tolerance and f"± {number(f * e.tolerance)}" for e, (*_, f) in zip(last, rows, strict=True)]
+        columns.append(Column(bands, page="tolerance"))
+        inside = [BeforeAfter(*x) if each else x[0] for x in within]
+        terminal = "inside" if fitted is None else None  # where there is room for it
+        columns.append(Column(inside, "", page, terminal, ".0%", group="time inside"))
+    chances = [e and e.probability for e in last]
+    if any(chance is not None for chance in chances):
+        columns.append(Column(chances, page="whole flight", form=".0%", group="time inside"))
+    return table(key, columns, below=[flight for flight, *_ in rows], **texts)
 
 
-def _changes(
-    flown: Trajectories, flights: Flights, output: str, get: Callable[[Error], float | None]
-) -> list[BeforeAfter]:
-    """A number of each flight by the card's and by the extended model."""
-    paths = ([flown.path(name, model, split) for model in (CARD, EXTENDED)] for split, name in flights)
-    return [BeforeAfter(*(None if path is None else get(path.errors[output]) for path in pair)) for pair in paths]
+def hold_out_table(flown: Trajectories, *, brief: bool = False) -> Table:
+    """Errors of both models, fitted jointly and on hold-out flights; `brief` has the latter alone if there are any."""
+    every = dict.fromkeys((p.split, p.manoeuvre) for p in sorted(flown.paths, key=lambda p: p.split))
+    unseen = [flight for flight in every if flight[0] == "hold_out"]
+    shown = unseen if brief and unseen else list(every)
+    flights = {f"{m}, {SPLIT_NAMES[split]}": [flown.path(m, model, split) for model in MODELS] for split, m in shown}
+    status = "".join(f" {text}" for text in status_sentences(flown))
+    return error_table("hold_out_errors", flights, SI, ("before", "after"), status=status)
 
 
 # --- On a page: errors before and after, and time histories with tolerance bands.
@@ -228,19 +194,18 @@ def trajectories(flown: Trajectories, card: Card) -> list[Any]:
     """Tables, then the hold-out flights, then the fitted ones, folded."""
     origin = tolerance_origin({name: t.value for name, t in card.tolerances.items()})
     units, plots = {name: SI[name] for name in flown.outputs}, {}
-    for split, said in SPLITS.items():
+    for split, about in SPLITS.items():
         shown, remark = parts.first(list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split)))
         plots[split] = [remark]
         for order, name in enumerate(shown):
-            curves = [Curve(p, *how) for key, *how in MODELS if (p := flown.path(name, key, split)) is not None]
-            what = f"{said}: measured and simulated outputs"
-            plot = over_measured(name, f"time-{split}-{order}", curves, units, what)
+            paths = {label: p for key, label in MODELS.items() if (p := flown.path(name, key, split)) is not None}
+            time, what = next(iter(paths.values())).time, f"{about}: measured and simulated outputs"
+            plot = parts.histories(name, f"time-{split}-{order}", time, output_panels(paths, units), what)
             title = f"{name}, {SPLIT_NAMES[split]}"
-            plots[split].append(replace(plot, caption=f"{said}. {plot.caption}", title=title))
+            plots[split].append(plot._replace(caption=f"{about}. {plot.caption}", title=title))
     return [
         f"{WORDS['paragraphs']['trajectories']} {origin}",
-        hold_out_error_table(flown),
-        hold_out_tolerance_table(flown),
+        hold_out_table(flown),
         plots["hold_out"],
         fold("The same, fitted to all flights", plots["fitted"]),
         sources(card, units),
@@ -252,38 +217,31 @@ def given_flights(paths: Sequence[SimulatedManoeuvre], card: Card) -> list[Any]:
     if not paths:
         return []
     units = {name: SI[name] for name in paths[0].errors}
-    band = any(error.tolerance is not None for error in paths[0].errors.values())
     what, plots = "Measured outputs, and those simulated with the fitted coefficients,", []
     for order, path in enumerate(paths[: parts.MOST_SHOWN]):
-        curves = [Curve(path, "simulation", COLOURS["mle"], "solid")]
-        plots.append(over_measured(path.manoeuvre, f"time-given-{order}", curves, units, what))
+        panels = output_panels({"simulation": path}, units)
+        plots.append(parts.histories(path.manoeuvre, f"time-given-{order}", path.time, panels, what))
     left = [f"The simulation of {path.manoeuvre} leaves the flight envelope." for path in paths if not path.inside]
-    text = WORDS["paragraphs"]["given_flights"] + (WORDS["paragraphs"]["tolerance_band"] if band else "")
-    _, remark = parts.first([path.manoeuvre for path in paths])
-    return [text, parts.warnings(left), remark, plots, given_table(paths), sources(card, units)]
+    remark = parts.first([path.manoeuvre for path in paths])[1]
+    text = WORDS["paragraphs"]["given_flights"] + tolerance_band(paths)
+    errors = error_table("given", {path.manoeuvre: [path] for path in paths}, SI, ("simulation",))
+    return [text, parts.warnings(left), remark, plots, errors, sources(card, units)]
+
+
+def tolerance_band(paths: Sequence[SimulatedManoeuvre]) -> str:
+    """What the grey band is, where there is one."""
+    band = any(error.tolerance is not None for path in paths for error in path.errors.values())
+    return WORDS["paragraphs"]["tolerance_band"] if band else ""
 
 
 def sources(card: Card, units: Mapping[str, str]) -> Fold | None:
     """Where the tolerances of outputs (by their SI units) come from; nothing where the card has none."""
-    facts = tuple(
-        (f"{symbol(n)} ± {number(factor * t.value)} {unit}", t.source)
-        for n, t in card.tolerances.items()
-        if n in units
-        for unit, factor in (for_people(units[n]),)
-    )
-    return fold("Origin of the tolerances", Facts(facts) if facts else None)
-
-
-def over_measured(
-    name: str, key: str, curves: Sequence[Curve], units: Mapping[str, str], what: str, context: Sequence[Panel] = ()
-) -> Plot:
-    """One manoeuvre: a panel for each output of `units` (SI), the last curve's error shaded; then `context`."""
-    panels, last = output_panels(curves, units), curves[-1]
-    legend = [parts.MEASURED, *((c.label, c.colour, c.style) for c in curves)]
-    legend.append((f"error of the {last.label}", last.colour, "area"))
-    if any(panel.band is not None for panel in panels):
-        legend.append(("tolerance", "#999999", "area"))
-    return parts.histories(name, key, curves[0].path.time, [*panels, *context], tuple(legend), what)
+    facts = []
+    for name, tolerance in card.tolerances.items():
+        if name in units:
+            unit, factor = for_people(units[name])
+            facts.append((f"{symbol(name)} ± {number(factor * tolerance.value)} {unit}", tolerance.source))
+    return fold("Origin of the tolerances", Facts(tuple(facts)) if facts else None)
 
 
 # --- What process noise changes, and whether its one-step predictions are calibrated.
@@ -310,12 +268,12 @@ def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) 
 
 
 def settled_sentences(
-    found: Sequence[Disagreement], fit: ProcessNoise | None, apart: Sequence[str], *, asked: bool
+    disagree: Sequence[Disagreement], fit: ProcessNoise | None, apart: Sequence[str], *, asked: bool
 ) -> list[str]:
     """Which estimates to prefer where output error and coefficients disagree; `asked`: process noise is for that."""
-    if not found or fit is None:
+    if not disagree or fit is None:
         return []
-    names = [d.name for d in found]
+    names = [d.name for d in disagree]
     why = [sentence("disputed", names=names)] if asked else []
     if not fit.preferred:
         return why
@@ -324,47 +282,46 @@ def settled_sentences(
     return [" ".join([*why, settled])]
 
 
-def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
+def process_noise_sentences(disturbed: ProcessNoise, flown: TrajectoryFit) -> list[str]:
     """Changes by process noise, and the assumption of its standard errors."""
-    predicted = [] if found.one_step is None else prediction_sentences(found.one_step)
-    if not found.converged:
-        return [f"The fit with process noise is not usable: {found.status}."]
-    if found.gain <= 0.0:
+    if not disturbed.converged:
+        return [f"The fit with process noise is not usable: {disturbed.status}."]
+    predicted = [] if disturbed.one_step is None else prediction_sentences(disturbed.one_step)
+    if disturbed.gain <= 0.0:
         return [sentence("process_noise_no_gain"), *predicted]
-    sentences = [sentence("process_noise_gain", gain=found.gain), *_estimated_gusts(found)]
+    sentences = [sentence("process_noise_gain", gain=disturbed.gain), *_estimated_gusts(disturbed)]
     fit, changed = flown.fit, []
     for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
-        other, other_sd = found.estimates.get(name, (float(estimate), float(sd)))
-        if abs(other - estimate) > MIN_DIFFERENCE * float((sd**2 + other_sd**2) ** 0.5):
+        other, other_sd = disturbed.estimates.get(name, (float(estimate), float(sd)))
+        if abs(other - estimate) > MIN_DIFFERENCE * math.hypot(sd, other_sd):
             changed.append(f"{name} {plus_minus(other, other_sd)} (output error {plus_minus(estimate, sd)})")
     if changed:
         sentences.append(sentence("process_noise_changes", limit=MIN_DIFFERENCE, changed=changed))
-    coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED_INNOVATIONS]
-    more = ", and these standard errors are too small"
-    sentences += [sentence("coloured_innovations", names=coloured, more=more)] if coloured else []
+    if coloured := [f"{name} ({disturbed.autocorrelation[name]:.2f})" for name in disturbed.coloured]:
+        more = ", and these standard errors are too small"
+        sentences.append(sentence("coloured_innovations", names=coloured, more=more))
     return sentences + predicted
 
 
-def prediction_sentences(found: OneStep) -> list[str]:
+def prediction_sentences(predictions: OneStep) -> list[str]:
     """The share of each output inside its 95 % intervals, and whether predictions are calibrated."""
     inside = []
-    for name, one in found.outputs.items():
-        share = next(s for s in one.shares if s.level == LEVEL)
+    for name, output in predictions.outputs.items():
+        share = next(s for s in output.shares if s.level == LEVEL)
         digits = 0 if share.sd >= 0.01 else 1
         inside.append(f"{symbol(name)} {100.0 * share.share:.{digits}f} % (± {100.0 * share.sd:.{digits}f})")
-    every = {symbol(name): one.calibration.value for name, one in found.outputs.items()}
-    every["all outputs together"] = found.together.calibration.value
+    every = {symbol(name): output.calibration.value for name, output in predictions.outputs.items()}
+    every["all outputs together"] = predictions.together.calibration.value
     faulty = {fault: [n for n, kind in every.items() if kind == wrong] for wrong, fault in FAULTS.items()}
     faults = "; ".join(fault.format(several(names)) for fault, names in faulty.items() if names)
-    key = found.status if found.status in ("undecided", "calibrated") else "not_calibrated"
-    return [sentence("one_step", level=100.0 * LEVEL, inside=inside), sentence(key, faults=faults)]
+    return [sentence("one_step", level=100.0 * LEVEL, inside=inside), sentence(predictions.status, faults=faults)]
 
 
-def _estimated_gusts(found: ProcessNoise) -> list[str]:
+def _estimated_gusts(disturbed: ProcessNoise) -> list[str]:
     """Intensities of the gusts and of buffet, and scale lengths of those with an intensity."""
-    estimated, undetected = [], []
-    for name, word in ((n, word) for n, word in GUSTS.items() if n in found.gusts):
-        (intensity, sd), (length, length_sd) = found.gusts[name], found.gusts[f"{name}_length"]
+    estimated, undetected, gusts = [], [], disturbed.gusts
+    for name, word in ((n, word) for n, word in GUSTS.items() if n in gusts):
+        (intensity, sd), (length, length_sd) = gusts[name], gusts[f"{name}_length"]
         if intensity > MIN_INTENSITY * sd:
             estimated.append(f"{word} {plus_minus(intensity, sd)} m/s (scale length {length:z.0f} ± {length_sd:.0f} m)")
         else:
@@ -372,10 +329,9 @@ def _estimated_gusts(found: ProcessNoise) -> list[str]:
     sentences = [f"Estimated gusts, standard deviation: {several(estimated)}."] if estimated else []
     if undetected:
         sentences.append(f"No {' and no '.join(undetected)} gusts are distinguishable from noise of the states.")
-    if "buffet" in found.gusts:
-        intensity, sd = found.gusts["buffet"]
-        key = "buffet" if intensity > MIN_INTENSITY * sd else "no_buffet"
-        sentences.append(sentence(key, intensity=(intensity, sd), length=found.gusts["buffet_length"]))
+    if "buffet" in gusts:
+        key = "buffet" if gusts["buffet"][0] > MIN_INTENSITY * gusts["buffet"][1] else "no_buffet"
+        sentences.append(sentence(key, intensity=gusts["buffet"], length=gusts["buffet_length"]))
     return sentences
 
 
@@ -384,88 +340,62 @@ def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
     names = list(next(iter(posteriors.values())).names)
     columns = [Column(names, "parameter", "parameter", "")]
     for key, posterior in posteriors.items():
-        rows = [posterior.marginals[name] for name in names]
-        label = engine_label(key)
+        rows, label = [posterior.marginals[name] for name in names], label_of(key)
         files = tuple(f"{key}_{part}" for part in ("mean", "sd", "low", "high"))
+        interval = [" to ".join(number(end, 3) for end in m.ci95) for m in rows]
         columns += [
             Column([Estimate.of(m) for m in rows], files, "mean", label, in_brackets, group=label),
-            Column([_interval(m) for m in rows], page="95 % interval", group=label),
+            Column(interval, page="95 % interval", terminal=f"95 % {label}", group=label),
             Column([m.ess for m in rows], f"{key}_ess", "ESS", f"ESS {label}", ".0f", group=label),
             Column([m.rhat for m in rows], f"{key}_rhat", "R-hat", f"R-hat {label}", ".3f", group=label),
         ]
     return table("posterior", columns)
 
 
-def _interval(m: Marginal) -> str:
-    return " to ".join(number(end, 3) for end in m.ci95)
-
-
-def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
+def one_step_table(predictions: OneStep, units: Mapping[str, str]) -> Table:
     """A row an output, and one for all: error, innovations over their predicted deviations, shares inside intervals."""
-    rows = [
-        (axis_label(name, units.get(name, "1")), for_people(units.get(name, "1"))[1], one)
-        for name, one in found.outputs.items()
-    ]
-    rows += [("all together", 1.0, found.together)] if len(rows) > 1 else []
-    column = columns_of(rows)
-    levels = [f"{100.0 * share.level:.0f} %" for share in found.together.shares]
-    group = "inside the interval, %"
-    inside = (
-        column(lambda r, k=k: Estimate(r[2].shares[k].share, r[2].shares[k].sd), "", head, head, _per_cent, group=group)
-        for k, head in enumerate(levels)
-    )
+    outputs, every = predictions.outputs, list(predictions.outputs.values())
+    every += [predictions.together] if len(every) > 1 else []
+    labels = [*(axis_label(name, units.get(name, "1")) for name in outputs), "all together"][: len(every)]
+    factors = [*(for_people(units.get(name, "1"))[1] for name in outputs), 1.0]
+    rms = [None if p.rms is None else factor * p.rms for p, factor in zip(every, factors, strict=False)]
     columns = [
-        column(lambda r: r[0], "", "output", ""),
-        column(
-            lambda r: None if r[2].rms is None else r[1] * r[2].rms,
-            "",
-            "RMS",
-            "RMS",
-            lambda x: short(x) if x >= 1e-4 else number(x, 2),
-        ),
-        column(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
-        *inside,
-        column(lambda r: r[2].calibration.value.replace("_", " "), "", "predictions", "predictions"),
+        Column(labels, "", "output", ""),
+        Column(rms, "", "RMS", "RMS", lambda x: short(x) if x >= 1e-4 else number(x, 2)),
+        Column([Estimate(*p.ratio) for p in every], "", "e/sd", "e/sd", in_brackets),
     ]
-    return table("one_step", columns)
+    for k, share in enumerate(predictions.together.shares):
+        inside, head = [Estimate(p.shares[k].share, p.shares[k].sd) for p in every], f"{100.0 * share.level:.0f} %"
+        columns.append(Column(inside, "", head, head, _per_cent, group="inside the interval, %"))
+    kinds = [p.calibration.value.replace("_", " ") for p in every]
+    return table("one_step", [*columns, Column(kinds, "", "predictions", "predictions")])
 
 
 def _per_cent(e: Estimate) -> str:
-    """A share with one digit of its standard error."""
     share, sd = 100.0 * e.centre, 100.0 * e.sd
     return f"{share:.0f}({sd:.0f})" if sd >= 0.95 else f"{share:.1f}({10.0 * sd:.0f})"
 
 
-def process_noise_table(
-    found: ProcessNoise, flown: TrajectoryFit, posteriors: Mapping[str, Posterior] | None = None
-) -> Table:
-    """Every parameter by output error and with process noise, and its credible interval where it was sampled."""
+def process_noise_table(disturbed: ProcessNoise, flown: TrajectoryFit) -> Table:
+    """Every parameter by output error and with process noise."""
     fit = flown.fit
     every = zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True)
-    rows = [(p, Estimate(float(x), float(sd))) for p, x, sd in every if p.name in found.estimates]
-    ours, theirs = "output error", "with process noise"
+    rows = [(p, Estimate(float(x), float(sd))) for p, x, sd in every if p.name in disturbed.estimates]
+    theirs = [Estimate(*disturbed.estimates[p.name]) for p, _ in rows]
     columns = [
-        Column([p.name for p, _ in rows], page="parameter", terminal=""),
-        Column([plain_unit(p.unit) for p, _ in rows], page="unit"),
-        Column([estimate for _, estimate in rows], "", ours, ours, in_brackets),
-        Column([Estimate(*found.estimates[p.name]) for p, _ in rows], "", theirs, theirs, in_brackets),
-        *(
-            Column([_interval(posterior.marginals[p.name]) for p, _ in rows], "", head, head)
-            for key, posterior in (posteriors or {}).items()
-            for head in [f"95 % {engine_label(key)}"]
-        ),
+        *parameter_columns([p.name for p, _ in rows], [p.unit for p, _ in rows]),
+        Column([estimate for _, estimate in rows], "", "output error", "output error", in_brackets),
+        Column(theirs, "", "with process noise", "with process noise", in_brackets),
     ]
     return table("process_noise", columns)
 
 
-def gust_table(found: ProcessNoise) -> Table:
+def gust_table(disturbed: ProcessNoise) -> Table:
     """A row for each sample: manoeuvre, time (s), mean and standard deviation of each gust (m/s)."""
-    column = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
-    names = dict.fromkeys(name for h in found.histories for name in h.gusts)
-    gusts = (
-        column(lambda r, name=name: Estimate(*(x[r[1]] for x in r[0].gusts[name])), (name, f"{name}_sd"))
-        for name in names
-    )
-    return Table(
-        [column(lambda r: r[0].manoeuvre, "manoeuvre"), column(lambda r: r[0].time[r[1]], "time"), *gusts], index=2
-    )
+    histories, columns = disturbed.histories, []
+    for name in dict.fromkeys(name for h in histories for name in h.gusts):
+        both = [Estimate(*pair) for h in histories for pair in zip(*h.gusts[name], strict=True)]
+        columns.append(Column(both, (name, f"{name}_sd")))
+    manoeuvre = Column([h.manoeuvre for h in histories for _ in h.time], "manoeuvre")
+    time = Column([t for h in histories for t in h.time], "time")
+    return Table([manoeuvre, time, *columns], index=2)

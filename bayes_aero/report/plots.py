@@ -1,16 +1,29 @@
-"""Time histories that can be zoomed: panels over one time axis, of which the page's script makes Bokeh's figures."""
+"""The palette, and panels over one time axis, of which the page's script makes figures that can be zoomed."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_aero.report.phrases import bracket
+from bayes_aero.report.phrases import bracket, channel_axis, for_people, short, symbol
+
+if TYPE_CHECKING:
+    from bayes_aero.diagnosis.result import SimulatedManoeuvre
+
+# Roles of colours in figures and pages. Okabe and Ito's, and two of Paul Tol's: told apart with every common colour
+# blindness.
+COLOURS = {
+    "measured": "#1a1a1a", "mle": "#0072B2", "gpr": "#D55E00", "crb": "#56B4E9", "crb_corrected": "#E69F00",
+    "white": "#332288", "emcee": "#009E73", "nuts": "#CC79A7", "alone": "#1a1a1a", "scatter": "#D55E00",
+    "prior": "#b0b0b0", "rising": "#882255", "falling": "#2a9d8f", "before": "#0072B2", "unconfirmed": "#d0d0d0",
+    "after": "#D55E00", "chosen": "#D55E00", "candidate": "#9fb8c9",
+}  # fmt: skip
 
 MOST = 1600  # points a line: more than a screen has columns
 PANEL, AXIS = 150, 44  # pixels: height of a panel, and of the time axis below the last
@@ -63,6 +76,50 @@ class Panel:
     def label(self) -> str:
         """Name and unit."""
         return f"{self.name} {bracket(self.unit)}"
+
+
+def measured_panel(channel: str, values: np.ndarray, **look: Any) -> Panel:
+    """A recorded channel (SI) by itself."""
+    name, unit, factor = channel_axis(channel)
+    return Panel(name, unit, (Line("measured", COLOURS["measured"], factor * values),), **look)
+
+
+def compared_panel(
+    name: str,
+    unit: str,
+    measured: np.ndarray,
+    simulated: Mapping[str, np.ndarray],
+    note: str = "",
+    band: float | None = None,
+) -> Panel:
+    """Measured and simulated in the unit of people, the last curve's error shaded."""
+    lines = [Line("measured", COLOURS["measured"], measured, width=1.0)]
+    for (label, values), colour in zip(simulated.items(), (COLOURS["before"], COLOURS["after"]), strict=False):
+        lines.append(Line(label, colour, values, "solid" if len(lines) == len(simulated) else "dashed"))
+    return Panel(name, unit, tuple(lines), ((0, len(simulated)),), band, note=note)
+
+
+# What simulated a path, and what people read.
+MODELS = {"card": "card's model", "extended": "extended model"}
+FLOWN = {"start": "first values", "fitted": "fitted model"}
+
+
+def output_panels(paths: Mapping[str, SimulatedManoeuvre], units: Mapping[str, str]) -> list[Panel]:
+    """A panel for each output of `units` (SI) of one manoeuvre, simulated by the models that name the paths."""
+    first, panels = next(iter(paths.values())), []
+    for output in (name for name in units if name in first.measured):
+        (unit, factor), tolerance = for_people(units[output]), first.errors[output].tolerance
+        with np.errstate(over="ignore"):  # first values of parameters may fly anywhere
+            simulated = {label: factor * path.simulated[output] for label, path in paths.items()}
+        note = f"RMS error {' → '.join(short(factor * path.errors[output].rms) for path in paths.values())}"
+        band = None if tolerance is None else factor * tolerance
+        panels.append(compared_panel(symbol(output), unit, factor * first.measured[output], simulated, note, band))
+    return panels
+
+
+def stem_of(output: str) -> str:
+    """The file of an output's figure, without its ending."""
+    return f"trajectory_{re.sub(r'[^A-Za-z0-9_-]', '_', output)}"
 
 
 def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> Int[np.ndarray, " m"]:

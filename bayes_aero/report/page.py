@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup, escape
@@ -25,14 +25,10 @@ from bayes_aero.errors import failure
 from bayes_aero.report.phrases import is_doubtful
 from bayes_aero.report.table import Table, cell_text
 
-ACROSS = 150  # characters in a row of a table from which paper is turned
-HALF = 56  # characters in a row that fit in half a sheet
-SHEET = 40  # lines of a table that surely fit on a sheet
 FOLDED = 25  # characters in a line of a column of text
 
 
-@dataclass(frozen=True)
-class Text:
+class Text(NamedTuple):
     """A paragraph; `tone` is plain, lead or warning."""
 
     text: str
@@ -40,15 +36,13 @@ class Text:
     failure: str = ""  # in place of a part that could not be made: the reason
 
 
-@dataclass(frozen=True)
-class Points:
+class Points(NamedTuple):
     """Sentences, one a bullet."""
 
     items: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Facts:
+class Facts(NamedTuple):
     """Name and value, one a line."""
 
     items: tuple[tuple[str, str], ...]
@@ -73,23 +67,14 @@ class HtmlTable:
         words = tuple(new for new, i in enumerate(kept) if i in self.words)
         return replace(self, head=head, rows=tuple(rows), words=words)
 
-    def across(self, *, folded: bool = True) -> int:
+    def across(self) -> int:
         """Characters in a row, with room between columns; text can be folded."""
         columns = zip(*self.rows, strict=True) if self.rows else ()
         widths = [max(len(line) for cell in column for line in cell.split("\n")) for column in columns]
-        return sum(min(w, FOLDED) if folded and i in self.words else w for i, w in enumerate(widths)) + 2 * len(widths)
-
-    @property
-    def on_paper(self) -> str:
-        """`broad`: it needs a landscape sheet; `slim`: another table fits beside it."""
-        if self.across() > ACROSS:
-            return " broad"
-        lines = sum(max(cell.count("\n") + 1 for cell in row) for row in self.rows)
-        return " slim" if self.across(folded=False) <= HALF and lines <= SHEET else ""
+        return sum(2 + min(w, FOLDED) if i in self.words else 2 + w for i, w in enumerate(widths))
 
 
-@dataclass(frozen=True)
-class Picture:
+class Picture(NamedTuple):
     """A static figure."""
 
     source: str  # a data URI
@@ -99,8 +84,7 @@ class Picture:
     natural: int  # its width on a screen at which its text has nominal size
 
 
-@dataclass(frozen=True)
-class Plot:
+class Plot(NamedTuple):
     """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style), and what it shows."""
 
     item: Mapping[str, Any]
@@ -110,8 +94,7 @@ class Plot:
     title: str = ""
 
 
-@dataclass(frozen=True)
-class Fold:
+class Fold(NamedTuple):
     """Blocks behind a line that opens them."""
 
     title: str
@@ -121,8 +104,7 @@ class Fold:
 Block = Text | Points | Facts | HtmlTable | Picture | Plot | Fold
 
 
-@dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """A heading with its blocks; `key` is its anchor."""
 
     key: str
