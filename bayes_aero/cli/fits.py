@@ -28,7 +28,7 @@ from bayes_aero.jobs.options import (
 from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
-    from bayes_aero.jobs.io.results import Flight
+    from bayes_aero.jobs.results import Flight
     from bayes_aero.study.run import Planned, UnitRunner
     from bayes_aero.study.study import Study
 
@@ -158,7 +158,7 @@ def fly(
     card, flights = terminal.card_and_records(records, reading)
     with terminal.loading():
         from bayes_aero.jobs.fly import fly as job
-        from bayes_aero.jobs.io.results import RESULTS
+        from bayes_aero.jobs.results import RESULTS
 
     console = terminal.teller(quiet=json, highlight=True)
     with terminal.working(out) as tell:
@@ -189,7 +189,7 @@ def path(
     card, flights = terminal.card_and_records(records, reading)
     with terminal.loading():
         from bayes_aero.jobs.fly import flight_path
-        from bayes_aero.jobs.io.results import RESULTS
+        from bayes_aero.jobs.results import RESULTS
 
     console = terminal.teller(quiet=json, highlight=True)
     with terminal.working(out) as tell:

@@ -19,7 +19,7 @@ from bayes_aero.flight.health import Agreement, Consistency, HealthFinding
 from bayes_aero.flight.health.channel import channel_health
 from bayes_aero.flight.reading import RecordReport, inspect_record, manoeuvres
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.parts import ConsistencyPart
+from bayes_aero.jobs.documents import ConsistencyPart
 from bayes_aero.jobs.store import picked, provenance, writable, write_json
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.records import despiked_records, joined, on_recorded_axes, with_sums

@@ -29,8 +29,8 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import only_following
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import record_checks
-from bayes_aero.jobs.io.results import Hidden, Outcome, diagnosed, diagnosis_results, flights, put_histories
 from bayes_aero.jobs.options import DiagnoseOptions
+from bayes_aero.jobs.results import Hidden, Outcome, diagnosed, diagnosis_results, flights, put_histories
 from bayes_aero.jobs.store import Growing, picked, provenance, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join

@@ -37,8 +37,8 @@ from bayes_aero.inference.mle import fit_mle, without_noise_bias
 from bayes_aero.inference.prediction_error import ENGINES
 from bayes_aero.inference.results import MleResult, Posterior
 from bayes_aero.jobs.check import record_checks, repaired, spike_notes, usable_for
-from bayes_aero.jobs.io.results import RESULTS, Flight, flights, fly_results, put_histories
 from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
+from bayes_aero.jobs.results import RESULTS, Flight, flights, fly_results, put_histories
 from bayes_aero.jobs.store import Growing, provenance, safe_name, sha256_of, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe

@@ -29,8 +29,8 @@ from bayes_aero.inference.validation import (
     validate,
 )
 from bayes_aero.jobs.check import record_checks, repaired
-from bayes_aero.jobs.io.results import identified, put_histories, remove_older, results, save_gp, write_identification
 from bayes_aero.jobs.options import IdentifyOptions
+from bayes_aero.jobs.results import identified, put_histories, remove_older, results, save_gp, write_identification
 from bayes_aero.jobs.store import Growing, provenance, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise

@@ -23,8 +23,8 @@ from bayes_aero.flight.record import TOLERANCES, FlightRecord
 from bayes_aero.inference.mle import MAX_SEPARATE_FITS
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.jobs.check import record_checks
+from bayes_aero.jobs.documents import ConsistencyPart, JudgedTolerance, QualificationDocument, TestPart
 from bayes_aero.jobs.finished import FinishedResult, IdentifiedLinear, drawn, read_finished
-from bayes_aero.jobs.io.parts import ConsistencyPart, JudgedTolerance, QualificationDocument, TestPart
 from bayes_aero.jobs.options import QualifyOptions
 from bayes_aero.jobs.store import provenance, writable, write_json
 from bayes_aero.model.observations import despiked, join

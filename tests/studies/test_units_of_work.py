@@ -294,7 +294,7 @@ def test_histories_on_a_full_disk_are_an_error_and_no_crash(tmp_path):
     """In a process of its own, in which no file may exceed 100 kB; it must end as any other does."""
     code = (
         "import sys, resource; from pathlib import Path; import numpy as np, xarray as xr\n"
-        "from bayes_aero.jobs.io.results import put_histories\n"
+        "from bayes_aero.jobs.results import put_histories\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
         "group = xr.Dataset({'x': ('sample', np.random.default_rng(0).normal(size=100_000))})\n"
         "try: put_histories(lambda: {'one': group}, Path(sys.argv[1]))\n"
