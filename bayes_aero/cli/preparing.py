@@ -135,7 +135,7 @@ def card(
 
         report, failures = put_starter_page(starter, record, target)
     if json:
-        terminal.print_json(starter.told | {"card": str(target), "report": None if report is None else str(report)})
+        terminal.print_json(starter.facts | {"card": str(target), "report": None if report is None else str(report)})
     console = terminal.teller(quiet=json)
     console.print(f"The card is in {target}. Read its proposals.", soft_wrap=True)
     if starter.todo:

@@ -14,7 +14,7 @@ from msgspec import UnsetType as Unset
 from msgspec.json import schema
 from msgspec.structs import fields
 
-from bayes_aero.diagnosis.result import CancellingPair, CausesInBand
+from bayes_aero.diagnosis.result import CancellingPair, CausesInBand, SizeInBand
 from bayes_aero.flight.health import Consistency, Departure, HealthFinding
 from bayes_aero.inference.results import Share as InsideShare
 
@@ -1040,7 +1040,7 @@ DOCUMENTS: dict[str, type[Part]] = {
 
 def document_schema(name: str) -> dict[str, Any]:
     """The JSON schema of a document; comments beside and above the fields are their descriptions."""
-    classes = {c.__name__: c for c in globals().values() if isinstance(c, type)}
+    classes = {c.__name__: c for c in (*globals().values(), SizeInBand) if isinstance(c, type)}
     parts = schema(DOCUMENTS[name])["$defs"]
     for key, part in parts.items():
         part |= {"description": " ".join((classes[key].__doc__ or "").split()), "additionalProperties": False}
