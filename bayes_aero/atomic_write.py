@@ -63,7 +63,6 @@ def put_folder(made: Path, target: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """A file's content, or the names in a folder, on the disk."""
     if path.is_dir() and not hasattr(os, "O_DIRECTORY"):
         return  # Windows neither can nor need
     handle = os.open(path, os.O_RDONLY)
@@ -100,5 +99,4 @@ def sweep(folder: Path) -> None:
 
 
 def host() -> str:
-    """This machine's name, fit for a file's."""
     return re.sub(r"[^A-Za-z0-9-]", "_", socket.gethostname())

@@ -29,8 +29,7 @@ from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
     from bayes_aero.jobs.results import Flight
-    from bayes_aero.study.run import Planned, UnitRunner
-    from bayes_aero.study.study import Study
+    from bayes_aero.study.run import Planned, Study, UnitRunner
 
 MOST = 5  # candidates of each stage on a terminal, where there is no cause
 
@@ -206,7 +205,6 @@ def path(
 
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
-    """Tables, findings and notes of a fit to trajectories."""
     from bayes_aero.report.pages import fly as of_fit
     from bayes_aero.report.pages import trajectories
 
@@ -384,7 +382,7 @@ def run(
         raise InputError("--memory is for the processes of --workers; give how many")
     if dry_run and (workers or scheduler):
         raise InputError("--dry-run is done in this process; leave --workers and --scheduler out")
-    from bayes_aero.study.study import read_study
+    from bayes_aero.study.run import read_study
 
     asked = read_study(study, trust_effects=trust_effects)  # a mistake is reported before the libraries are loaded
     with terminal.loading():
@@ -411,7 +409,6 @@ def run(
 
 
 def study_results(asked: Study, folder: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The study and its units as plain data."""
     about = {"file": asked.path.name, "title": asked.title, "task": asked.task, "sha256": asked.sha256}
     counts = dict(Counter(row["state"] for row in rows))
     return {"schema": SCHEMA, "study": about, "out": str(folder), "counts": counts, "units": rows}
@@ -478,7 +475,6 @@ def _row(p: Planned) -> dict[str, Any]:
 
 
 def print_plan(console: Console, planned: list[Planned]) -> None:
-    """The units with their state."""
     from bayes_aero.report.table import Table, columns_of
 
     of = columns_of(planned)

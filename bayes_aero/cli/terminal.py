@@ -138,13 +138,11 @@ def print_json(content: Mapping[str, Any]) -> None:
 
 
 def print_failures(console: Console, failures: Sequence[str]) -> None:
-    """Parts of a job that failed unexpectedly."""
     for sentence in failures:
         console.print(f"✗ {sentence}", style="red", highlight=False, soft_wrap=True)
 
 
 def print_lines(console: Console, sentences: Sequence[str], notes: Sequence[str] = ()) -> None:
-    """Findings, then remarks."""
     for mark, lines in (("•", sentences), ("!", notes)):
         for line in lines:
             console.print(f"{mark} {line}", highlight=False)

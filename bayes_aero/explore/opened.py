@@ -54,7 +54,6 @@ class OpenedResult(FinishedResult):
 
     @property
     def title(self) -> str:
-        """The command and the folder."""
         return f"{self.command}: {self.folder}"
 
     @property
@@ -69,7 +68,6 @@ class OpenedResult(FinishedResult):
         return tuple(said)
 
     def groups(self, added: tuple[str, ...] = ()) -> tuple[SliderGroup, ...]:
-        """The sliders, with those of the effects that are `added`."""
         found = self.identified
         if isinstance(found, IdentifiedLinear):
             return linear_groups(found, self.errors)
@@ -336,7 +334,6 @@ class Simulator:
     """The manoeuvres of a result under its model and under models derived from it; what is prepared is kept."""
 
     def __init__(self, opened: OpenedResult) -> None:
-        """Join the records."""
         self.opened = opened
         self.card, _ = on_recorded_axes(opened.card, opened.flown, OF_AXIS, DERIVED)
         found = opened.identified
@@ -356,26 +353,21 @@ class Simulator:
 
     @property
     def manoeuvres(self) -> tuple[str, ...]:
-        """Names of the manoeuvres."""
         return self.flights.names
 
     def time(self, manoeuvre: int) -> Float[np.ndarray, " n"]:
-        """Time from the start of the record, s."""
         return self.flights.time[self.flights.manoeuvre == manoeuvre]
 
     def recorded(self, manoeuvre: int) -> dict[str, Float[np.ndarray, " n"]]:
-        """Recorded outputs and inputs."""
         own = self.flights.manoeuvre == manoeuvre
         return {name: np.asarray(self.flights.channels[name])[own] for name in (*self.outputs, *self.inputs)}
 
     def result(self, manoeuvre: int) -> Flown:
-        """The manoeuvre at the values of the result; flown once."""
         if manoeuvre not in self._results:
             self._results[manoeuvre] = self.fly(manoeuvre, Choice())
         return self._results[manoeuvre]
 
     def fly(self, manoeuvre: int, choice: Choice) -> Flown:
-        """The manoeuvre at the chosen values."""
         values = self._values(choice)
         theta = jnp.asarray(list(values.values()))
         flown, residuals, departure = self._prepared(manoeuvre, choice, values)

@@ -55,7 +55,6 @@ class ExplorePage:
     """A document with its state."""
 
     def __init__(self, simulator: Simulator, document: Document) -> None:
-        """Fill the document with panels, and draw the first manoeuvre."""
         self.simulator, self.opened = simulator, simulator.opened
         self.units = {n: c.unit for n, c in STANDARD_CHANNELS.items()} | channel_units(self.opened.card)
         self.tolerances = {name: t.value for name, t in self.opened.card.tolerances.items()}
@@ -120,7 +119,6 @@ class ExplorePage:
             self.exchange.update(told=json.dumps({"id": number, "error": told}))
 
     def answer(self, asked: Asked) -> None:
-        """Fly, draw and tell what is asked."""
         begin = clock.perf_counter()
         choice = self._choice(asked)
         before = self.simulator.result(asked.manoeuvre)
@@ -153,7 +151,6 @@ class ExplorePage:
         self.exchange.update(told=json.dumps(told))
 
     def _choice(self, asked: Asked) -> Choice:
-        """What is asked, in SI."""
         if asked.manoeuvre >= len(self.simulator.manoeuvres):
             raise InputError(f"there is no manoeuvre {asked.manoeuvre + 1}; choose another one")
         known = {e.name for e in self.opened.addable(tuple(self.simulator.flights.channels))}
@@ -227,8 +224,6 @@ class ExplorePage:
 
 
 def page_of(simulator: Simulator) -> Callable[[Document], None]:
-    """What fills the document of each visitor."""
-
     def fill(document: Document) -> None:
         ExplorePage(simulator, document)
 
@@ -259,7 +254,6 @@ class Asked:
 
 
 def read_asked(text: str) -> Asked:
-    """The state from the browser's JSON."""
     try:
         if len(text) > MOST_CHARACTERS:
             raise ValueError("it is too long")
@@ -359,7 +353,6 @@ class Shared:
     """What all panels have in common: the range of time, the cross-hair, and the source of what is flown now."""
 
     def __init__(self) -> None:
-        """Empty."""
         self.time = models.Range1d(start=0.0, end=1.0)
         self.cross = models.Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
         self.now = models.ColumnDataSource({}, name="now")
@@ -378,7 +371,6 @@ class TimePanel:
     What is flown now has one source for all panels, so that a step is one message to the browser."""
 
     def __init__(self, name: str, label: str, factor: float, shared: Shared, band: float | None) -> None:
-        """An empty panel."""
         self.name, self.label, self.factor = name, label, factor
         self.band = None if band is None else factor * band
         self.record = models.ColumnDataSource({"t": [], "y": [], "low": [], "high": []})
@@ -416,7 +408,6 @@ class TimePanel:
             f.add_tools(models.HoverTool(renderers=[line], mode="vline", tooltips=tips, line_policy="nearest"))
 
     def draw_record(self, time: Curve, y: Curve) -> None:
-        """The measurement, with its tolerance."""
         t, y = self._drawable(time, y)
         half = self.band or 0.0
         self.record.update(data={"t": t, "y": y, "low": y - half, "high": y + half})
@@ -426,7 +417,6 @@ class TimePanel:
         return dict(zip(columns, self._drawable(time, y), strict=True))
 
     def draw_fan(self, time: Curve, draws: Float[np.ndarray, "m n"]) -> None:
-        """Draws; none removes them."""
         lines = [self._drawable(time, y, MOST_FAN) for y in draws]
         self.fan.update(data={"xs": [t for t, _ in lines], "ys": [y for _, y in lines]})
 
@@ -446,7 +436,6 @@ class TimePanel:
 
 
 def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
-    """Panels below each other, the time axis below the last."""
     for view in views:
         last = view is views[-1]
         f: Any = view.figure
@@ -536,5 +525,4 @@ class PageServer:
             self.stop()
 
     def stop(self) -> None:
-        """Take no more requests."""
         self._server.stop(wait=False)

@@ -52,12 +52,10 @@ class Identified:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All parameters of the model."""
         return self.model.names
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
-        """By parameter."""
         return {p.name: p.bounds for p in self.model.parameters}
 
     @cached_property
@@ -71,7 +69,6 @@ class Identified:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """A sentence on each effect of the model that is not exported."""
         said = []
         for e in (e for e in self.model.acting if not _is_of_aircraft(e)):
             size = ", ".join(
@@ -83,18 +80,15 @@ class Identified:
 
     @cached_property
     def actual_aircraft(self) -> Aircraft:
-        """The aircraft with the effects that act on it."""
         changed = self.exported.actual_aircraft(self.values, self.aircraft)
         return _constants(changed, lambda _, x: float(x))
 
     @property
     def separates(self) -> bool:
-        """Whether the model has a separation point."""
         return any(e.stage in (Stage.SEPARATION, Stage.LAG) for e in self.exported.acting)
 
     @property
     def lagged(self) -> bool:
-        """Whether the separation point is a state."""
         return any(e.stage is Stage.LAG for e in self.exported.acting)
 
     @property
@@ -106,7 +100,6 @@ class Identified:
 
     @cached_property
     def signals(self) -> tuple[str, ...]:
-        """Channels that the effects read."""
         asked = (c for e in self.exported.acting for c in e.channels)
         return tuple(dict.fromkeys(("alpha", *(("airspeed",) if self.lagged else ()), *asked)))
 
@@ -177,7 +170,6 @@ class Identified:
     def _outputs(
         self, values: Mapping[str, Any], signals: Mapping[str, Any], aircraft: Aircraft, states: Mapping[str, Any]
     ) -> dict[str, Any]:
-        """The traced function."""
         static = self.exported.static_points(values, signals, aircraft) if self.separates else ()
         found = self.coefficients(values, signals, aircraft, [*states.values()] or static)
         found |= {f"{n}_static" if states else n: x for n, x in zip(self.points, static, strict=True)}
@@ -230,7 +222,6 @@ CONVENTIONS = (
 
 
 def version() -> str:
-    """The program and its version."""
     try:
         return f"bayes_aero {metadata.version('bayes-aero')}"
     except metadata.PackageNotFoundError:
@@ -257,7 +248,6 @@ def lengths(found: Identified) -> tuple[str, ...]:
 
 
 def validity(found: Identified) -> tuple[str, ...]:
-    """The flown range of every channel that the model reads."""
     flown = [n for n in found.signals if n in found.flown]
     if not flown:
         return ("The flown region is not stated: the values are a card's, or of an earlier version's result.",)
@@ -266,7 +256,6 @@ def validity(found: Identified) -> tuple[str, ...]:
 
 
 def states(found: Identified) -> tuple[str, ...]:
-    """What is said of the separation point and of alpha-dot."""
     said = []
     if found.lagged:
         said.append(
@@ -286,7 +275,6 @@ def states(found: Identified) -> tuple[str, ...]:
 
 
 def about(found: Identified) -> tuple[str, ...]:
-    """All of them, a sentence or two each."""
     floors = [f"{n} below {LEAST[n]:g} {unit(n)}" for n in found.program.inputs_of("signal") if n in LEAST]
     finite = (f"Coefficients are finite at rest: {' and '.join(floors)} counts as that value.",) if floors else ()
     drawn, uncertain = found.draws, ()
@@ -312,7 +300,6 @@ def unit(channel: str) -> str:
 
 
 def meaning(channel: str) -> str:
-    """What a channel is."""
     return STANDARD_CHANNELS[channel].description if channel in STANDARD_CHANNELS else "input of an effect"
 
 

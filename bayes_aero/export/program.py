@@ -47,7 +47,6 @@ class Program:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Inputs on which the outputs depend, in alphabetical order."""
         return tuple(sorted({*self.uses} - {step.name for step in self.steps}))
 
     def inputs_of(self, kind: str) -> tuple[str, ...]:
@@ -56,7 +55,6 @@ class Program:
 
     @property
     def uses(self) -> Counter[str]:
-        """How often each name is read."""
         read = (x for x in (*self.outputs.values(), *(x for s in self.steps for x in s.arguments)))
         return Counter(x for x in read if isinstance(x, str))
 
@@ -109,7 +107,6 @@ class Builder:
         return name
 
     def program(self, outputs: Mapping[str, Operand]) -> Program:
-        """All steps that these outputs need."""
         steps = tuple(Operation(name, operation, given) for (operation, given), name in self._known.items())
         return Program(steps, {}).giving(outputs)
 
@@ -155,7 +152,6 @@ def translated(function: Callable[[Mapping[str, Any]], Mapping[str, Any]], input
 
 
 def _inside(jaxpr: Any, constants: Any, given: tuple[Operand, ...], builder: Builder) -> list[Operand]:
-    """The results of a traced function."""
     known: dict[Any, Operand] = dict(zip(jaxpr.invars, given, strict=True))
     known |= {name: _number(x) for name, x in zip(jaxpr.constvars, constants, strict=True)}
 
@@ -169,7 +165,6 @@ def _inside(jaxpr: Any, constants: Any, given: tuple[Operand, ...], builder: Bui
 
 
 def _applied(equation: Any, given: tuple[Operand, ...], builder: Builder) -> list[Operand]:
-    """The results of one equation of a trace."""
     name, params = equation.primitive.name, equation.params
     where = str(equation.source_info.name_stack)
     inner = next((params[key] for key in INNER if key in params), None)

@@ -38,28 +38,24 @@ Node = Element
 
 
 def value(x: float) -> Node:
-    """A number, to the last bit."""
     node = Element("value")
     node.text = repr(float(x))
     return node
 
 
 def read(name: str) -> Node:
-    """The value of a property."""
     node = Element("property")
     node.text = name
     return node
 
 
 def call(tag: str, *arguments: Node | float | str) -> Node:
-    """An operation of JSBSim; numbers, and properties by name."""
     node = Element(tag)
     node.extend(read(x) if isinstance(x, str) else value(x) if isinstance(x, float | int) else x for x in arguments)
     return node
 
 
 def named(tag: str, name: str, content: Node) -> Node:
-    """A function under a name, with its content."""
     node = Element(tag, name=name)
     if tag == "fcs_function":
         SubElement(node, "function").append(content)
@@ -222,7 +218,6 @@ def aircraft_xml(found: Identified) -> str:
 
 
 def _inputs(found: Identified, program: Program) -> dict[str, Node]:
-    """How each input of a program is read."""
     inputs = {f"parameter.{n}": read(f"{PREFIX}/parameter/{n}") for n in program.inputs_of("parameter")}
     inputs |= {f"aircraft.{n}": value(found.inputs[f"aircraft.{n}"]) for n in program.inputs_of("aircraft")}
     inputs |= {f"state.{n}": read(f"{PREFIX}/state/{n}") for n in program.inputs_of("state")}
@@ -299,7 +294,6 @@ def _rest(x: Node) -> Node:
 
 
 def _first(begin: Node, later: Node) -> Node:
-    """`begin` in the first frame, then `later`."""
     limit = call("product", FIRST_FRAMES, "simulation/dt")
     return call("ifthen", call("le", "simulation/sim-time-sec", limit), begin, later)
 

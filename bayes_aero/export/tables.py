@@ -47,7 +47,6 @@ class Gridded:
     error: float = 0.0
 
     def at(self, axes: Axes, inputs: Mapping[str, Any]) -> Float[np.ndarray, "*n"]:
-        """Its values over `axes`, with these `Identified.inputs`."""
         grid = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True)) if axes else {}
         given = dict(inputs) | {f"{kind}.{name}": x for name, x in grid.items() for kind in ("signal", "state")}
         summands = self.program.evaluated(given)

@@ -72,7 +72,6 @@ class Starter:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What was guessed, as plain data."""
         channels = {
             name: {"place": g.column.place, **picked(g, "unit", "sign", "evidence"), "doubt": self.doubt(name) or None}
             for name, g in self.found.items()
@@ -120,7 +119,6 @@ def starter_card(path: Path) -> Starter:
 
 
 def _text(words: str) -> str:
-    """A TOML string on one line."""
     return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -196,7 +194,6 @@ def _implausible(name: str, guess: Guess) -> str:
 
 
 def _taken(found: Mapping[str, Guess]) -> set[str]:
-    """Channels whose guess stands on the card."""
     return {name for name, guess in found.items() if not _implausible(name, guess)}
 
 
@@ -360,7 +357,6 @@ STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a s
 
 
 def comment(words: str) -> str:
-    """A TOML comment on one line."""
     return "# " + " ".join("".join(c if c.isprintable() else " " for c in words).split())
 
 

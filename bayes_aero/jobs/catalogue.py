@@ -156,7 +156,6 @@ def write_effects(terms: Sequence[FoundTerm], records: Sequence[str], path: Path
 
 
 def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
-    """Its text."""
     told = re.sub(r"[^\w.@:+ -]", "_", " and ".join(records))  # a name becomes part of a program
     code = " ".join(one.term.code or "" for one in terms)
     parts = [HEAD.format(records=told, imports="".join(line for used, line in IMPORTED.items() if used in code))]

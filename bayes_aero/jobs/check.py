@@ -191,7 +191,6 @@ def errors_of_sensors(
 
 
 def check_results(report: CheckReport) -> dict[str, Any]:
-    """The report as plain data."""
     records, card, sensors = [], report.card, report.sensors
     for r in report.records:
         about = asdict(replace(r, record=None))

@@ -153,7 +153,6 @@ def step(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
 
 
 def state(found: Guesses, guess: Guess, why: str, **changes: Any) -> None:
-    """Change a guess, and add the reason to its evidence."""
     found[guess.channel] = replace(guess, evidence=f"{guess.evidence}; {why}", **changes)
 
 
@@ -175,7 +174,6 @@ def slope_of(x: np.ndarray, y: np.ndarray, least: float = FOLLOWS) -> float | No
 
 
 def nearest(ratio: float, sizes: Mapping[str, float]) -> str:
-    """The unit in whose size a ratio is nearest to one."""
     return min(sizes, key=lambda unit: abs(math.log(ratio * sizes[unit])))
 
 

@@ -171,7 +171,6 @@ class ResultStore(Growing[Outcome]):
     """A diagnosis that grows, with diagnosis.json, its tables and histories."""
 
     def write(self, out: Path) -> None:
-        """diagnosis.json."""
         write_json(diagnosis_results(self.result, self.card, self.records, self.source), out / "diagnosis.json")
 
     def keep(
@@ -200,7 +199,6 @@ class ResultStore(Growing[Outcome]):
             self.fail(put_histories(lambda: {**by_coefficients(), **flights(flown)}, self.out))
 
     def fail(self, failures: Sequence[str]) -> None:
-        """Keep what failed unexpectedly; none is nothing."""
         if failures:
             self.keep(failures=failures)
 
@@ -328,7 +326,6 @@ class BackgroundJob(Generic[Result]):
         self._running = pool.submit(job, tell)
 
     def result(self) -> Result:
-        """What the job returns, or raises, once it has."""
         self._waited.set()
         return self._running.result()
 

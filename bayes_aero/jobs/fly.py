@@ -148,7 +148,6 @@ class FlightStore(Growing[Flight]):
     """A fit to trajectories with trajectories.json and its tables."""
 
     def write(self, out: Path) -> None:
-        """All numbers but the draws."""
         found = self.result
         write_csv(parameter_table(found.flown), out / "parameters.csv")
         if found.process_noise is not None and found.process_noise.histories:
@@ -221,7 +220,6 @@ def check_band(band: tuple[float, float] | None, records: Sequence[FlightRecord]
 
 
 def setting_of(options: FlyOptions, card: Card) -> Setting:
-    """How trajectories are fitted; what is not given is the card's."""
     outputs, initial = (None, {}) if options.flight_path else (card.fly.outputs, card.fly.initial_state)
     if options.outputs is not None:
         names = options.outputs.split(",") if isinstance(options.outputs, str) else options.outputs

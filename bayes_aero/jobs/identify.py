@@ -106,7 +106,6 @@ class _Job(Growing[Identification]):
             writable(out)
 
     def write(self, out: Path) -> None:
-        """The tables, and results.json."""
         write_identification(self.result, out)
         write_json(results(self.result, verdict(self.result), self.source, self.flown), out / "results.json")
 
@@ -168,14 +167,12 @@ class _Job(Growing[Identification]):
         self.keep(alone=alone, preparation=preparation)
 
     def fit_in_band(self, band: Band) -> None:
-        """The same parameters in the frequency domain."""
         with self.timed("frequency domain"):
             seed = self.options.seed
             found = coefficients_in_band(self.repaired, self.card, self.model, self.result.mle, band, seed=seed)
         self.keep(frequency_sentences(found), frequency=found)
 
     def pool(self) -> None:
-        """Partial pooling of the manoeuvres, and the next flight."""
         do = partial(pooled_manoeuvres, self.result, self.repaired, seed=self.options.seed, progress=self.progress)
         found = self.stage("next flight", "The next flight was left out", do, bad="{}: {}.")
         if found is not None and self.out is not None:
@@ -194,7 +191,6 @@ class _Job(Growing[Identification]):
         self.keep((), put_histories(lambda: identified(self.result), out))
 
     def sample(self) -> None:
-        """The posteriors, one after the other."""
         for key, colour, engine in posterior_plan(Colour(self.options.noise)):
             left_out = f"The posterior by {key} under {colour.value} noise was not sampled"
             found = self.stage(key, left_out, partial(self.posterior, key, colour, engine))
@@ -224,7 +220,6 @@ class _Job(Growing[Identification]):
         self.keep(() if report is None else report.left_out, gp=report)
 
     def show(self, out: Path) -> None:
-        """Figures and the page; then nothing is left of earlier runs."""
         options, drawn = self.options, []
         if options.figures:
             with self.timed("figures"):

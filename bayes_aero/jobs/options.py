@@ -195,7 +195,6 @@ class FlyOptions(Options):
     flight_path: bool = option(False, name=None)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown."""
         if self.posterior and not self.process_noise:
             raise InputError("a posterior is that of the fit with process noise; ask for process noise, too")
         if self.posterior and not self.priors:
@@ -235,7 +234,6 @@ class PathOptions(Options):
 
     @property
     def fly(self) -> FlyOptions:
-        """The same for the fit to trajectories."""
         return FlyOptions(WHOLE, flight_path=True, **vars(self))
 
 
@@ -260,7 +258,6 @@ class QualifyOptions(Options):
     seed: int = _seed()
 
     def __post_init__(self) -> None:
-        """Refuse numbers that decide nothing."""
         if not FEWEST <= self.draws <= MOST_DRAWS:
             raise InputError(f"--draws is {self.draws}; give a number from {FEWEST} to {MOST_DRAWS}")
         if self.gusts is not None and not 0.0 <= self.gusts <= MOST_GUSTS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -110,24 +111,22 @@ def new_records(
     tests: Sequence[Path], fitted: Sequence[FlightRecord], card: Card, source: FinishedResult, gusts: float | None
 ) -> list[FlightRecord]:
     """Records that were not fitted, read as those were; refused where they were, or the model cannot fly them."""
-    how = fitted[0].read
+    how, linear = fitted[0].read, source.linear
     new = read_records(tests, card.channels, resample=how["resample"], segments=card.segments, split=how["split"])
-    for record in new:
-        for one in fitted:
-            if (shared := repeats_of(one, record)) is not None:
-                raise InputError(
-                    f"{record.name} {shared[0]}; {one.name} was fitted, so it is tested anyway: give records that were "
-                    "not fitted"
-                )
-    name = source.identified.name
-    if source.linear is not None and gusts:
+    for record, before in product(new, fitted):
+        if (shared := repeats_of(before, record)) is not None:
+            raise InputError(
+                f"{record.name} {shared[0]}; {before.name} was fitted, so it is tested anyway: give records that were "
+                "not fitted"
+            )
+    if linear is not None and gusts:
         raise InputError(
-            f"card {name} states a linear system, which does not fly through moving air; leave --gusts out"
+            f"card {linear.name} states a linear system, which does not fly through moving air; leave --gusts out"
         )
-    if source.linear is not None and new and (own := source.linear.rows.by_manoeuvre):
+    if linear is not None and new and linear.rows.by_manoeuvre:
         raise InputError(
-            f"card {name} states {several(own)} for each manoeuvre, so there is no value for record "
-            f"{new[0].name}, which was not fitted; leave it out, or fit a card with one value for all manoeuvres"
+            f"card {linear.name} states {several(linear.rows.by_manoeuvre)} for each manoeuvre, so there is no value for "
+            f"record {new[0].name}, which was not fitted; leave it out, or fit a card with one value for all manoeuvres"
         )
     return new
 
@@ -135,7 +134,6 @@ def new_records(
 def deciding_flights(
     source: FinishedResult, card: Card, flown: SegmentTrajectories, undecided: Sequence[OpenTest], unknown: Uncertain
 ) -> Further | None:
-    """Flights that would decide the undecided tests."""
     if not undecided:
         return None
     if isinstance(source.identified, IdentifiedLinear):
@@ -223,7 +221,6 @@ RESULTS = "qualification.json"
 def qualification_results(
     found: Qualification, card: Card, source: dict[str, Any], failures: Sequence[str] = ()
 ) -> QualificationDocument:
-    """Plain numbers and text, SI and radians."""
     tests = []
     for one in found.tests:
         chance = {"probability": one.chance.value, "standard_error": one.chance.error, "verdict": one.chance.verdict}

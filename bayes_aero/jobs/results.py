@@ -118,7 +118,6 @@ def diagnosis_results(
 
 
 def term_part(found: FoundTerm) -> parts.TermPart:
-    """A form of unexplained structure."""
     term, others = found.term, {term.name: weight for term, weight in found.others}
     return parts.TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
 
@@ -185,7 +184,6 @@ def trajectories_part(flown: Trajectories | None, card: Card) -> parts.Trajector
 
 
 def stated_tolerances(card: Card, units: Mapping[str, str]) -> dict[str, parts.StatedTolerance]:
-    """The card's tolerances of these outputs."""
     stated = {name: t for name, t in card.tolerances.items() if name in units}
     return {name: parts.StatedTolerance(t.value, units[name], t.source) for name, t in stated.items()}
 
@@ -371,7 +369,6 @@ class Flight:
 def fly_results(
     found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]
 ) -> parts.TrajectoriesDocument:
-    """trajectories.json: plain numbers and text, SI and radians."""
     flown, fit = found.flown, found.flown.fit
     setting, beliefs = flown.setting, flown.departure_sd
     return parts.TrajectoriesDocument.of(

@@ -64,13 +64,11 @@ def provenance(
 
 
 def sha256_of(path: Path) -> str:
-    """Of a file."""
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def version(name: str) -> str:
-    """Of an installed package."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -83,7 +81,6 @@ def write_json(content: Any, path: Path) -> None:
 
 
 def as_json(content: Any) -> str:
-    """The text of a JSON document, with its last newline."""
     return json.dumps(plain(content), indent=2, allow_nan=False) + "\n"
 
 
@@ -121,11 +118,9 @@ class Growing(Generic[Result]):
         self.card, self.records, self.out, self.source, self.lock = card, records, out, source, RLock()
 
     def write(self, out: Path) -> None:
-        """Its numbers, into the folder."""
         raise NotImplementedError
 
     def keep(self, notes: Sequence[str] = (), failures: Sequence[str] = (), **changes: Any) -> None:
-        """Put more into the result, and on disk."""
         with self.lock:
             before: Any = self.result
             more = {"notes": (*before.notes, *notes), "failures": (*before.failures, *failures)}
@@ -177,7 +172,6 @@ def environment() -> dict[str, Any]:
 
 
 def environment_id() -> str:
-    """Eight digits that tell one environment from another."""
     return hashlib.sha256(json.dumps(environment(), sort_keys=True).encode()).hexdigest()[:8]
 
 
@@ -262,7 +256,6 @@ def result_file(given: str) -> Path | None:
 
 
 def read_result(file: Path) -> Mapping[str, Any]:
-    """What a result of identify, fly or diagnose says."""
     try:
         if file.stat().st_size > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES} bytes")

@@ -35,7 +35,7 @@ from bayes_aero.flight.record import write_record
 from bayes_aero.jobs import store
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.study import run as unit
-from bayes_aero.study.study import read_study
+from bayes_aero.study.run import read_study
 
 ODD = (
     None, True, 0, -1, 1, 10**12, 10**30, 10**5000, 2**63, 0.5, -0.0, 1e308, 5e-324, math.nan, math.inf, -math.inf, "",

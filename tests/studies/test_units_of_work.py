@@ -13,16 +13,15 @@ from threading import Event, get_ident
 import pytest
 
 from bayes_aero import atomic_write as durable
+from bayes_aero import processes as compiled
 from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.jobs.diagnose import in_background
-from bayes_aero.processes import cores
+from bayes_aero.processes import cache_folder, cores
 from bayes_aero.report.html.page import put_page
 from bayes_aero.study import cluster
-from bayes_aero.study import jit_cache as compiled
 from bayes_aero.study.cluster import Driver, work
-from bayes_aero.study.jit_cache import cache_folder
-from bayes_aero.study.run import MANIFEST, fail_unit, run_unit
+from bayes_aero.study.run import MANIFEST, run_unit
 
 LONG = 20.0  # s: a test that waits so long has failed
 
@@ -347,7 +346,7 @@ def test_a_full_disk_is_told_by_a_page_and_by_h5py_in_words_alone(tmp_path):
 
 
 def test_a_failure_told_from_outside_is_kept_as_one_told_from_inside(tmp_path, given):
-    told = fail_unit(given, str(tmp_path / "units" / "record-1"), "its process died")
+    told = run_unit(given, str(tmp_path / "units" / "record-1"), failed="its process died")
     assert (told["state"], told["error"]) == ("failed", "its process died")
     folder = tmp_path / "units" / "record-1"
     assert (folder / ERROR).read_text() == "its process died\n"
