@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, TypeVar, get_args
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, TypeVar, get_args
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -61,6 +61,7 @@ __all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "next_flight", "plot", 
 
 Engine = Literal["emcee", "nuts"]
 ENGINES = {"emcee": sample_ensemble, "nuts": sample_nuts}
+SETTINGS = tuple(f.name for f in fields(DiagnosisSettings))
 
 
 def read(
@@ -227,10 +228,9 @@ def diagnose(
     *,
     model: Model | None = None,
     candidates: Sequence[Effect] = (),
-    settings: DiagnosisSettings | None = None,
     seed: int = 0,
-    max_effects: int | None = None,
     process_noise: bool | None = None,
+    **settings: Any,
 ) -> Diagnosed:
     """Find the effects that a model lacks.
 
@@ -242,10 +242,9 @@ def diagnose(
         card: a `Card`, the name of a shipped one or a path.
         model: default: the card's model.
         candidates: your own effects, screened in addition to the catalogue.
-        settings: every threshold of the diagnosis; None: the defaults.
         seed: of the noise replicates.
-        max_effects: most effects that each stage adds; None: as the settings say.
         process_noise: True estimates gusts and compares the model with innovations; None: if the records are in gusts.
+        settings: thresholds of the diagnosis by name, e.g. `max_effects`, the effects that each stage may add.
 
     Returns:
         The diagnosis; sizes in SI and radians.
@@ -253,17 +252,16 @@ def diagnose(
     Raises:
         InputError: the records lack a channel that the model needs, or numbers in it.
     """
-    settings = settings or DiagnosisSettings()
-    if max_effects is not None:
-        settings = replace(settings, max_effects=max_effects)
-    own = _card(card)
-    records = _sound(records, own)
+    for name in settings:
+        _choose("setting", name, SETTINGS)
+    card = _card(card)
+    records = _sound(records, card)
     if model is None:
-        own, _ = on_recorded_axes(own, records)
-    asked = {"settings": settings, "seed": seed, "process_noise": process_noise}
-    found = run_diagnosis(records, own, model=model, extra=candidates, **asked)
+        card, _ = on_recorded_axes(card, records)
+    options = {"settings": DiagnosisSettings(**settings), "seed": seed, "process_noise": process_noise}
+    found = run_diagnosis(records, card, model=model, extra=candidates, **options)
     known = errors_of_diagnosis(found) if found.by_coefficients else None
-    return Diagnosed(view_of(found), own, record_checks(records, own, seed, known=known, seek=False))
+    return Diagnosed(view_of(found), card, record_checks(records, card, seed, known=known, seek=False))
 
 
 def _sound(records: Sequence[FlightRecord], card: Card) -> list[FlightRecord]:

@@ -121,19 +121,14 @@ def card(
     if target.exists() and not force:
         raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")
     with terminal.loading():
-        from bayes_aero.jobs.card_template import starter_card
+        from bayes_aero.jobs.card_template import put_starter_page, starter_card
 
     starter = starter_card(record)
     try:
         write_whole(starter.text, target)
     except OSError as reason:
         raise InputError(f"{target} cannot be written ({reason.strerror}); give another name with --out") from None
-    report = None
-    failures: tuple[str, ...] = ()
-    if page:
-        from bayes_aero.jobs.card_template import put_starter_page
-
-        report, failures = put_starter_page(starter, record, target)
+    report, failures = put_starter_page(starter, record, target) if page else (None, ())
     if json:
         terminal.print_json(starter.facts | {"card": str(target), "report": None if report is None else str(report)})
     console = terminal.teller(quiet=json)
@@ -180,17 +175,13 @@ def effects(
     Example: bayes-aero effects pitch_rate_bias
     """
     from bayes_aero.flight.card import read_card
-    from bayes_aero.jobs.catalogue import effect_facts, effect_named, known_effects
+    from bayes_aero.jobs.catalogue import effect_facts, effect_named, known_effects, write_effects_page
 
     card = None if model is None else read_card(model)
     known = known_effects(card)
     chosen = known.values() if name is None else [effect_named(name, known)]
     found = [effect_facts(effect, card) for effect in chosen]
-    failures: tuple[str, ...] = ()
-    if out is not None:
-        from bayes_aero.jobs.catalogue import write_effects_page
-
-        failures = write_effects_page(found, EFFECTS, card, out)
+    failures = () if out is None else write_effects_page(found, EFFECTS, card, out)
     if json:
         terminal.print_json({"schema": EFFECTS, "effects": found})
     elif name is None:
@@ -212,18 +203,12 @@ def print_table(found: Sequence[Mapping[str, Any]]) -> None:
     for kind in sorted({effect["kind"] for effect in found}):
         table.add_section()
         table.add_row(Text(kind.upper(), "bold"), "")
-        for effect in found:
-            if effect["kind"] != kind:
-                continue
-            name = effect["name"] + (" *" if effect["model"] else "")
-            parameters = [
-                f"  {p['name']}" + ("" if p["unit"] == "1" else f", {p['unit']}") for p in effect["parameters"]
-            ]
-            needs = f"needs {', '.join(effect['needs'])}" if effect["needs"] else "needs nothing"
-            table.add_row(
-                Text.assemble(name, *(part for p in parameters for part in ("\n", (p, "dim")))),
-                Text.assemble(effect["claim"], "\n", (needs, "dim")),
-            )
+        for effect in (effect for effect in found if effect["kind"] == kind):
+            name = Text(effect["name"] + (" *" if effect["model"] else ""))
+            for p in effect["parameters"]:
+                name.append(f"\n  {p['name']}" + ("" if p["unit"] == "1" else f", {p['unit']}"), "dim")
+            needs = f"needs {', '.join(effect['needs']) or 'nothing'}"
+            table.add_row(name, Text.assemble(effect["claim"], "\n", (needs, "dim")))
     console.print(table)
     stars = "*: in the card's model. " if any(effect["model"] for effect in found) else ""
     console.print(f"{len(found)} effects. {stars}bayes-aero effects NAME explains one.", highlight=False)

@@ -215,58 +215,41 @@ def interruptible(resume: Callable[[], str]) -> Iterator[None]:
         raise InterruptionError(resume()) from None
 
 
-def kept_stages(out: Path) -> Callable[[], str]:
-    """What a command that writes stage by stage has left in `out` since this call."""
-    began = time.time() - 1.0  # file systems round times
-
-    def told() -> str:
-        written = [
-            path.name
-            for path in (sorted(out.iterdir()) if out.is_dir() else [])
-            if path.suffix != ".part" and not path.name.startswith(".") and path.stat().st_mtime >= began
-        ]
-        if not written:
-            return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
-        return (
-            f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
-            "the same command repeats all stages"
-        )
-
-    return told
-
-
 @contextmanager
 def working(out: Path, first: str = "reading") -> Iterator[Progress]:
-    """The bar of a command that writes stage by stage into `out`; Ctrl-C says what is there."""
-    with interruptible(kept_stages(out)), bar(first) as tell:
+    """The bar of a command that writes stage by stage into `out`; Ctrl-C says what is kept."""
+    began = time.time() - 1.0  # file systems round times
+
+    def resume() -> str:
+        files = [path.name for path in sorted(out.glob("[!.]*")) if path.stat().st_mtime >= began]
+        if not files:
+            return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
+        return f"{out} has the stages that had finished ({', '.join(files)}); the same command repeats all stages"
+
+    with interruptible(resume), bar(first) as tell:
         yield tell
 
 
 # --- Options of the command line that are gone: one row each, told before the command line is parsed.
 
-GONE: tuple[tuple[str, str, str], ...] = (
-    (
-        "diagnose",
-        "--predictors/--no-predictors",
-        "predictors are no longer compared; use --no-test-points to leave out the manoeuvres that decide what is open",
-    ),
-    ("fly", "--drift", "run diagnose, which says whether a parameter changed, when and by how much"),
-    (
-        "identify",
-        "--approximate-gp",
-        "Gaussian processes are exact; give shorter parts of the records (FILE@FROM:TO) or a longer --resample",
-    ),
-    ("run", "--verify", "run the study again with another --out and compare the two summary.csv"),
+PREDICTORS = (
+    "predictors are no longer compared; use --no-test-points to leave out the manoeuvres that decide what is open"
 )
-"""Command, option (every spelling, "--one/--no-one"), and the rest of the sentence: what to use instead."""
+GONE = {
+    ("diagnose", "--predictors"): PREDICTORS,
+    ("diagnose", "--no-predictors"): PREDICTORS,
+    ("fly", "--drift"): "run diagnose, which says whether a parameter changed, when and by how much",
+    ("identify", "--approximate-gp"): "Gaussian processes are exact; give shorter parts of the records (FILE@FROM:TO) "
+    "or a longer --resample",
+    ("run", "--verify"): "run the study again with another --out and compare the two summary.csv",
+}
+"""By command and option, the rest of the sentence: what to use instead."""
 
 
 def refuse_gone(arguments: Sequence[str]) -> None:
     """Raise `InputError` for an option that is gone, with what to use instead; `arguments`: the command first."""
     command, *rest = arguments or ("",)
     options = rest[: rest.index("--")] if "--" in rest else rest  # behind it are names of files
-    spelled = [argument.partition("=")[0] for argument in options]
-    for of, option, instead in GONE:
-        for given in option.split("/"):
-            if of == command and given in spelled:
-                raise InputError(f"{given} of {command} is gone: {instead}")
+    for option in (argument.partition("=")[0] for argument in options):
+        if instead := GONE.get((command, option)):
+            raise InputError(f"{option} of {command} is gone: {instead}")

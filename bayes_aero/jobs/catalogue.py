@@ -161,29 +161,13 @@ def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
     parts = [HEAD.format(records=told, imports="".join(line for used, line in IMPORTED.items() if used in code))]
     for one in terms:
         plain = one.term.name.lower().replace("(1 - x)", "separated").replace("^", "").replace("+", "plus")
-        slug = re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
-        parts.append(
-            TERM.format(
-                name=f"{one.coefficient.lower()}_{slug}",
-                constant=f"{one.coefficient.upper()}_{slug.upper()}",
-                coefficient=one.coefficient,
-                parameter=f"{one.coefficient}_{slug}",
-                term=one.term.name,
-                unit=one.term.unit,
-                code=one.term.code,
-                channels=one.term.channels,
-                records=told,
-                size=one.size[0],
-                sd=one.size[1],
-                least=_digits(one.least),
-                largest=_digits(LARGEST * max(abs(one.size[0]), one.least)),
-            )
-        )
+        name, (size, sd) = f"{one.coefficient}_{re.sub(r'[^a-z0-9]+', '_', plain).strip('_')}", one.size
+        largest = LARGEST * max(abs(size), one.least)
+        names = {"name": name.lower(), "constant": name.upper(), "parameter": name, "coefficient": one.coefficient}
+        about = {"term": one.term.name, "unit": one.term.unit, "code": one.term.code, "channels": one.term.channels}
+        sizes = {"size": size, "sd": sd, "least": float(f"{one.least:.3g}"), "largest": float(f"{largest:.3g}")}
+        parts.append(TERM.format(**names, **about, **sizes, records=told))
     return "".join(parts)
-
-
-def _digits(x: float) -> float:
-    return float(f"{x:.3g}")
 
 
 # --- The job of `bayes-aero simulate`: a record on disk, with its truth beside it.

@@ -42,15 +42,8 @@ Job = TypeVar("Job", bound=Callable[..., Any])
 
 
 def option(default: Any, help: str = "", *, name: str | None = "", kind: Any = None, **row: Any) -> Any:
-    """A field that is an option.
-
-    Args:
-        default: its value where it is not given.
-        help: its text on the command line.
-        name: on the command line, where the field's own name is taken; None: it is no option there.
-        kind: its type on the command line, where the field's is another.
-        row: more of the command line's row: `min`, `max`, `metavar`, `flag` (a switch without its --no-).
-    """
+    """A field that is an option, with `help`; on the command line it has another `name` (None: it is none there) and
+    `kind` where the field's do not serve, and `row`: `min`, `max`, `metavar`, `flag` (a switch without its --no-)."""
     return field(default=default, metadata={"help": help, "name": name, "kind": kind, "row": row})
 
 
@@ -59,8 +52,8 @@ def _seed() -> Any:
 
 
 def _frequency() -> Any:
-    said = "Hz: fit in the frequency domain, too, in this band, where bias and drift drop out."
-    return option(None, said, metavar="LOW HIGH")
+    help = "Hz: fit in the frequency domain, too, in this band, where bias and drift drop out."
+    return option(None, help, metavar="LOW HIGH")
 
 
 class Options:
@@ -72,8 +65,7 @@ class Options:
     @property
     def settings(self) -> dict[str, Any]:
         """Those on which the numbers rest; what was left to the program is absent."""
-        chosen = {name: getattr(self, name) for name in self.SETTINGS}
-        return {n: list(x) if isinstance(x, tuple) else x for n, x in chosen.items() if x is not None}
+        return {n: list(x) if isinstance(x, tuple) else x for n in self.SETTINGS if (x := getattr(self, n)) is not None}
 
     @classmethod
     def kinds(cls) -> dict[str, Any]:

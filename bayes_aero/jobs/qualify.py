@@ -125,8 +125,8 @@ def new_records(
         )
     if linear is not None and new and linear.rows.by_manoeuvre:
         raise InputError(
-            f"card {linear.name} states {several(linear.rows.by_manoeuvre)} for each manoeuvre, so there is no value for "
-            f"record {new[0].name}, which was not fitted; leave it out, or fit a card with one value for all manoeuvres"
+            f"card {linear.name} states {several(linear.rows.by_manoeuvre)} for each manoeuvre, so there is no value "
+            f"for record {new[0].name}, which was not fitted; leave it out, or fit a card with one value for all"
         )
     return new
 

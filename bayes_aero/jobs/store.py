@@ -107,10 +107,8 @@ Result = TypeVar("Result")
 
 
 class Growing(Generic[Result]):
-    """A result with `notes` and `failures`, written whenever there is more of it, whichever thread found it.
-
-    Without a folder `out` nothing is written; `source` is its provenance.
-    """
+    """A result with `notes` and `failures`, written into `out` (None: not) whenever there is more of it, whichever
+    thread found it; `source` is its provenance."""
 
     result: Result
 
@@ -129,10 +127,7 @@ class Growing(Generic[Result]):
                 self.write(self.out)
 
     def attempt(self, what: str, do: Callable[[], Any], otherwise: Any = None, *, bad: str = "") -> Any:
-        """What `do` returns or, if it fails unexpectedly, `otherwise`, and the reason is kept.
-
-        So it is for bad input where there is a form `bad` of the note on it.
-        """
+        """What `do` returns or, if it fails unexpectedly or by bad input with a form `bad` of a note, `otherwise`."""
         try:
             value, failed = attempted(what, do, otherwise, self.out, own=bool(self.card.effect_files))
         except InputError as error:
@@ -175,29 +170,23 @@ def environment_id() -> str:
     return hashlib.sha256(json.dumps(environment(), sort_keys=True).encode()).hexdigest()[:8]
 
 
-def write_environment(out: Path) -> Path:
-    """Write requirements.txt and environment.json into `out`/environment, once; another environment gets its own.
-
-    Returns the folder that describes the present environment.
-    """
-    folder, own = out / "environment", environment_id()
-    if (folder / "environment.json").is_file():
-        same = False
-        with suppress(ValueError, KeyError, TypeError, RecursionError):
-            same = json.loads((folder / "environment.json").read_text(encoding="utf-8"))["id"] == own
-        folder = folder if same else out / f"environment-{own}"
-    if not (folder / "environment.json").is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        here = environment()
-        lines = [
-            f"# Python {here['python']} on {here['platform']}",
-            "# Restore, in this folder: python -m venv env && env/bin/python -m pip install -r requirements.txt",
-            *(f"{name}=={version}" for name, version in here["packages"].items()),
-            f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)",
-        ]
-        write_whole("\n".join(lines) + "\n", folder / "requirements.txt")
-        write_json(here | {"id": own}, folder / "environment.json")
-    return folder
+def write_environment(out: Path) -> None:
+    """Write requirements.txt and environment.json into `out`/environment; another environment gets its own folder."""
+    here, number = environment(), environment_id()
+    folder = out / "environment"
+    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        if json.loads((folder / "environment.json").read_text(encoding="utf-8"))["id"] == number:
+            return
+        folder = out / f"environment-{number}"
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [
+        f"# Python {here['python']} on {here['platform']}",
+        "# Restore, in this folder: python -m venv env && env/bin/python -m pip install -r requirements.txt",
+        *(f"{name}=={version}" for name, version in here["packages"].items()),
+        f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)",
+    ]
+    write_whole("\n".join(lines) + "\n", folder / "requirements.txt")
+    write_json(here | {"id": number}, folder / "environment.json")
 
 
 # --- The folder of results, in which nothing leads elsewhere, and the file of a finished one; no numerical library.
@@ -213,16 +202,16 @@ def writable(folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        root = folder.resolve()
+        root, leads_out = folder.resolve(), None
         for path in sorted(folder.iterdir()):
             if path.is_symlink() and not path.resolve().is_relative_to(root):
-                raise InputError(f"{path} is a link that leads out of {folder}; remove it, or give another --out")
+                leads_out = path
         (folder / ERROR).unlink(missing_ok=True)  # of an earlier run
     except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot write to {folder} ({reason}); give another folder with --out") from None
+    if leads_out is not None:
+        raise InputError(f"{leads_out} is a link that leads out of {folder}; remove it, or give another --out")
 
 
 def safe_name(words: str) -> str:

@@ -289,9 +289,9 @@ Task = Callable[[Unit, Path, Progress | None], None]
 
 @dataclass(frozen=True)
 class CaseState:
-    """`word` is done, missing, changed, damaged or failed; `why` says what changed or failed."""
+    """`state` is done, missing, changed, damaged or failed; `why` says what changed or failed."""
 
-    word: str
+    state: str
     why: str = ""
 
 
@@ -613,7 +613,7 @@ def run_study(
         write_environment(out)
     except OSError as error:
         raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None
-    due = [p for p in planned if p.state.word != "done"]
+    due = [p for p in planned if p.state.state != "done"]
     said: dict[str, Mapping[str, Any]] = {}
 
     def one_by_one(work: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:

@@ -195,7 +195,7 @@ def test_nothing_heavy_is_loaded(files, code, arguments):
     assert set(loaded).isdisjoint(ANY if arguments == "--help" else HEAVY), done.stderr
 
 
-SPELLED = [(command, given, instead) for command, option, instead in terminal.GONE for given in option.split("/")]
+SPELLED = [(*option, instead) for option, instead in terminal.GONE.items()]
 
 
 @pytest.mark.parametrize(("command", "option", "instead"), SPELLED)
@@ -208,7 +208,7 @@ def test_an_option_that_is_gone_says_what_to_use(program, command, option, inste
 
 
 def test_other_commands_and_names_of_files_are_left_alone(program, monkeypatch):
-    monkeypatch.setattr(terminal, "GONE", (("check", "--old/--no-old", "leave it out"),))
+    monkeypatch.setattr(terminal, "GONE", {("check", "--old"): "leave it out"})
     assert "--no-old of check is gone: leave it out" in program("check", "a.csv", "--no-old").err
     assert "gone" not in program("path", "a.csv", "--no-old").err
     assert "gone" not in program("check", "--", "--no-old").err

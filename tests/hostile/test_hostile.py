@@ -343,12 +343,12 @@ def test_damaged_json_in_a_results_folder(tmp_path, content):
     assert store.write_environment(tmp_path).name.startswith("environment-")
     (tmp_path / unit.MANIFEST).write_text(content)
     one = unit.Unit("u", "identify", (), (), "attas", "attas", 0, None, None, ())
-    assert unit.state_of(one, tmp_path).word == "damaged"
+    assert unit.state_of(one, tmp_path).state == "damaged"
     for name in ("/etc/hostname", "../../../../../../etc/hostname", "a\0b", "x" * 300):
         made_from = unit.fingerprint(one)
         manifest = {"files": {name: ""}, "made_from": made_from, "state": "done"}
         unit.write_json(manifest, tmp_path / unit.MANIFEST)
-        assert unit.state_of(one, tmp_path).word == "damaged"
+        assert unit.state_of(one, tmp_path).state == "damaged"
 
 
 @pytest.mark.parametrize(

@@ -38,13 +38,13 @@ def test_both_run_at_once_and_a_failure_is_that_of_who_waits():
     with in_background(job) as running:
         assert there.wait(LONG)
         here.set()
-        assert running.result() != get_ident()
+        assert running() != get_ident()
 
     def job(_):
         raise ValueError("no such luck")
 
     with pytest.raises(ValueError, match="no such luck"), in_background(job) as running:
-        running.result()
+        running()
 
 
 def test_it_is_shown_where_it_is_only_while_it_is_waited_for():
@@ -59,7 +59,7 @@ def test_it_is_shown_where_it_is_only_while_it_is_waited_for():
     with in_background(job, lambda *row: shown.append(row)) as running:
         assert told.wait(LONG)
         assert shown == []
-        running.result()
+        running()
     assert shown == [("waited for", 0.9)]
 
 
