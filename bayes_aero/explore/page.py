@@ -5,15 +5,15 @@ from __future__ import annotations
 import errno
 import json
 import logging
-import math
 import socket
 import time as clock
 import webbrowser
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from importlib import resources
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 from bokeh import models
 from bokeh.core.properties import String
@@ -37,6 +37,7 @@ from bayes_aero.explore.opened import DRAWS, Choice, Flown, Simulator, export_ch
 from bayes_aero.flight.card import channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.jobs.finished import FORMS
+from bayes_aero.jobs.options import ExportForm
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.plots import FARTHEST, Line, extremes, scale
 from bayes_aero.report.phrases import axis_label, bracket, for_people
@@ -72,7 +73,7 @@ class ExplorePage:
         right = stacked([*self.coefficients, *self.inputs], "coefficients")
         left.tags = [self.exchange]
         self.exchange.on_change("asked", self._asked)
-        self.answer(Asked())
+        self.answer(Asked(0))
         facts = {
             "style": _part("page.css"),
             "script": _part("page.js"),
@@ -154,7 +155,7 @@ class ExplorePage:
         if asked.manoeuvre >= len(self.simulator.manoeuvres):
             raise InputError(f"there is no manoeuvre {asked.manoeuvre + 1}; choose another one")
         known = {e.name for e in self.opened.addable(tuple(self.simulator.flights.channels))}
-        added = tuple(name for name in asked.added if name in known)
+        added = tuple(name for name in dict.fromkeys(asked.added) if name in known)
         groups = self.opened.groups(added)
         factors = {s.name: s.factor for group in groups for s in group.sliders}
         values = {name: x / factors[name] for name, x in asked.values.items() if name in factors}
@@ -200,27 +201,27 @@ class ExplorePage:
     def _scores(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> list[dict[str, Any]]:
         """RMS errors and shares inside the tolerances, in the units of the panels."""
         paths = scores(self.simulator.recorded(manoeuvre), before.simulated, now.simulated, window, self.tolerances)
-        formed = {name: now.coefficients[name] for name in now.formed}
-        changed = {name: now.formed[name] - y for name, y in now.coefficients.items() if name in now.formed}
-        first = {name: before.formed[name] - before.coefficients[name] for name in formed}
-        still = {name: np.zeros_like(y) for name, y in formed.items()}
-        found = []
-        for one in (*paths, *scores(still, first, changed, window, {})):
-            si = self.units.get(one.name, "1")
+        errors = [{name: x - flown.coefficients[name] for name, x in flown.formed.items()} for flown in (before, now)]
+        still = {name: np.zeros_like(y) for name, y in errors[1].items()}
+        rows = [*paths, *scores(still, *errors, window, {})]
+        for row in rows:
+            si = self.units.get(row["name"], "1")
             unit, factor = for_people(si)
-            shown = {"label": axis_label(one.name, si), "unit": bracket(unit)}
-            found.append(asdict(one) | shown | {"before": factor * one.before, "now": factor * one.now})
-        return found
+            row |= {"label": axis_label(row["name"], si), "unit": bracket(unit)}
+            row |= {key: factor * row[key] for key in ("before", "now")}
+        return rows
 
     def _gain(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> dict[str, Any]:
         """Change of the log likelihood of the trajectories; residuals as the fit left them, where it was one."""
         told, recorded = self.opened.told, self.simulator.recorded(manoeuvre)
         fitted = told.get("residual_sd", {}) if self.opened.departures else {}
-        names = [n for n in (fitted or self.simulator.outputs) if n in before.simulated and n != "altitude"]
-        sd = {n: fitted.get(n) or float(np.std(recorded[n] - before.simulated[n])) for n in names}
-        sd = {n: x for n, x in sd.items() if x > 0.0}
+        errors = []
+        for n in (n for n in (fitted or self.simulator.outputs) if n in before.simulated and n != "altitude"):
+            old, new = (recorded[n] - flown.simulated[n] for flown in (before, now))
+            if (sd := fitted.get(n) or float(np.std(old))) > 0.0:
+                errors.append((old[window] / sd, new[window] / sd))
         inflation = told.get("variance_inflation") or told.get("trajectories", {}).get("variance_inflation") or 1.0
-        return {"nats": gain(recorded, before.simulated, now.simulated, window, sd, inflation), "inflation": inflation}
+        return {"nats": gain(errors, inflation), "inflation": inflation}
 
 
 def page_of(simulator: Simulator) -> Callable[[Document], None]:
@@ -239,48 +240,24 @@ def _part(name: str) -> str:
 MOST_CHARACTERS = 100_000
 
 
-@dataclass(frozen=True)
-class Asked:
+class Asked(msgspec.Struct, frozen=True):
     """The state of the page's controls; values are in the units of the sliders, `window` in s."""
 
-    id: int = 0
-    manoeuvre: int = 0
+    id: int
+    manoeuvre: Annotated[int, msgspec.Meta(ge=0)] = 0
     window: tuple[float, float] | None = None
-    values: Mapping[str, float] = field(default_factory=dict)
+    values: dict[str, float] = {}
     off: tuple[str, ...] = ()
     added: tuple[str, ...] = ()
     fan: bool = False
-    export: str = ""
+    export: ExportForm | None = None
 
 
 def read_asked(text: str) -> Asked:
     try:
-        if len(text) > MOST_CHARACTERS:
-            raise ValueError("it is too long")
-        told = json.loads(text)
-        form = str(told["export"] or "")
-        if form and form not in FORMS:
-            raise ValueError(f"there is no form {form!r}")
-        window = told["window"]
-        return Asked(
-            int(told["id"]),
-            max(0, int(told["manoeuvre"])),
-            None if window is None else (_number(window[0]), _number(window[1])),
-            {str(name): _number(x) for name, x in told["values"].items()},
-            tuple(map(str, told["off"])),
-            tuple(dict.fromkeys(map(str, told["added"]))),
-            bool(told["fan"]),
-            form,
-        )
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as reason:
+        return msgspec.json.decode(text if len(text) <= MOST_CHARACTERS else "", type=Asked)
+    except (ValueError, RecursionError) as reason:
         raise InputError(f"the page sent what it never sends ({reason}); load it again") from None
-
-
-def _number(x: Any) -> float:
-    found = float(x)
-    if not math.isfinite(found):
-        raise ValueError(f"{x} is no finite number")
-    return found
 
 
 # --- How near a simulation is to the flight in a window of time.
@@ -288,51 +265,28 @@ def _number(x: Any) -> float:
 Series = Mapping[str, Float[np.ndarray, " n"]]
 
 
-@dataclass(frozen=True)
-class Score:
-    """One output in a window, SI: RMS error of the result and now; share inside the tolerance (None: it has none)."""
-
-    name: str
-    before: float
-    now: float
-    within_before: float | None = None
-    within: float | None = None
-
-
 def scores(
     recorded: Series, before: Series, now: Series, window: Bool[np.ndarray, " n"], tolerances: Mapping[str, float]
-) -> list[Score]:
-    """One for each output that is `now` there, over the samples of `window`."""
-    found = []
+) -> Iterator[dict[str, Any]]:
+    """RMS errors of the result and now over the samples of `window`, SI, and shares inside the tolerance, if any."""
     for name, y in now.items():
         old, new = (np.abs(recorded[name] - x)[window] for x in (before[name], y))
         band = tolerances.get(name)
-        shares = (None, None) if band is None else (float(np.mean(old <= band)), float(np.mean(new <= band)))
-        found.append(Score(name, _rms(old), _rms(new), *shares))
-    return found
+        rms = {"before": _rms(old), "now": _rms(new)}
+        within = dict.fromkeys(("within_before", "within"))
+        if band is not None:
+            within = {"within_before": float(np.mean(old <= band)), "within": float(np.mean(new <= band))}
+        yield {"name": name, **rms, **within}
 
 
-def gain(
-    recorded: Series,
-    before: Series,
-    now: Series,
-    window: Bool[np.ndarray, " n"],
-    deviations: Mapping[str, float],
-    inflation: float,
-) -> float:
-    """Change of the log likelihood from the result to now, nats.
-
-    `deviations`: standard deviation of the normal residuals of each output that counts; `inflation`: samples that count
-    for one, because residuals are coloured.
+def gain(errors: Iterable[tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]], inflation: float) -> float:
+    """Change of the log likelihood from the result to now, nats, by the normal errors of both over their deviation;
+    `inflation`: samples that count for one, because residuals are coloured.
 
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, eq. 4.11, with a diagonal covariance.
     """
-    total = 0.0
-    for name, sd in deviations.items():
-        old, new = (((recorded[name] - x)[window] / sd) ** 2 for x in (before[name], now[name]))
-        total += 0.5 * float(np.sum(old) - np.sum(new))
-    return total / inflation
+    return 0.5 * sum(float(np.sum(old**2) - np.sum(new**2)) for old, new in errors) / inflation
 
 
 def _rms(x: Float[np.ndarray, " n"]) -> float:
@@ -484,15 +438,7 @@ class PageServer:
     """A running server; `url` is its address."""
 
     def __init__(self, fill: Callable[[Document], None], port: int = 0) -> None:
-        """Listen at once.
-
-        Args:
-            fill: makes the page of one visitor.
-            port: of this machine; 0: any free one.
-
-        Raises:
-            InputError: the port is taken or may not be used.
-        """
+        """Listen at once on a port of this machine, 0: any free one; `fill` makes the page of one visitor."""
         for name in ("bokeh", "tornado"):
             logging.getLogger(name).setLevel(logging.ERROR)
         settings.resources = "server"  # whatever the environment says: no content delivery network,

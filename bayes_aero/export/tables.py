@@ -20,8 +20,7 @@ from bayes_aero.atomic_write import write_whole
 from bayes_aero.effect import Example, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.export.identified import Identified, about, meaning, unit
-from bayes_aero.export.program import Operand, Program, terms
+from bayes_aero.export.identified import Identified, Operand, Program, about, meaning, terms, unit
 from bayes_aero.model.model import Model
 
 ACCURACY = 1e-4  # of a table's range, of linear interpolation along each axis
