@@ -142,7 +142,7 @@ def diagnose(
 
 @terminal.with_options
 def fly(
-    records: Annotated[list[Path], typer.Argument(help=f"{terminal.RECORDS}.")],
+    records: terminal.RecordsArgument,
     reading: ReadingOptions,
     options: FlyOptions,
     out: terminal.OutOption = Path("trajectories"),
@@ -170,7 +170,7 @@ def fly(
 
 @terminal.with_options
 def path(
-    records: Annotated[list[Path], typer.Argument(help=f"{terminal.RECORDS}.")],
+    records: terminal.RecordsArgument,
     reading: ReadingOptions,
     options: PathOptions,
     out: terminal.OutOption = Path("path"),
@@ -267,9 +267,7 @@ def export(
 
 
 def open(
-    result: Annotated[
-        str, typer.Argument(help="Folder (or JSON file) that identify, fly or diagnose wrote.", metavar="DIR")
-    ],
+    result: terminal.ResultArgument,
     records: Annotated[
         list[Path] | None, typer.Option(help="Folder of the records, where they have moved; may be repeated.")
     ] = None,
@@ -301,10 +299,7 @@ def open(
 
 @terminal.with_options
 def qualify(
-    result: Annotated[
-        str,
-        typer.Argument(help="Folder (or JSON file) that fly, diagnose or identify wrote.", metavar="RESULT"),
-    ],
+    result: terminal.ResultArgument,
     options: QualifyOptions,
     records: Annotated[
         list[Path] | None, typer.Argument(help=f"Further tests: records that were not fitted. {terminal.RECORDS}.")

@@ -26,7 +26,7 @@ EFFECTS = "bayes_aero/effects/1"
 
 @terminal.with_options
 def check(
-    records: Annotated[list[Path], typer.Argument(help=f"{terminal.RECORDS}.")],
+    records: terminal.RecordsArgument,
     reading: ReadingOptions,
     sensors: Annotated[bool, typer.Option(help="Check the sensors against each other along the flight path.")] = True,
     seed: terminal.SeedOption = 0,

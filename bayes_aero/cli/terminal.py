@@ -35,6 +35,10 @@ INTERRUPTED = 130
 SUFFIXES = ".csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc"
 RECORDS = f"Flight records ({SUFFIXES}), or parts of them, FILE@FROM:TO in seconds"
 
+RecordsArgument = Annotated[list[Path], typer.Argument(help=f"{RECORDS}.")]
+ResultArgument = Annotated[
+    str, typer.Argument(help="Folder (or JSON file) that identify, fly or diagnose wrote.", metavar="RESULT")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else on stdout.")]
 SeedOption = Annotated[
     int, typer.Option(min=0, max=MAX_SEED, help="Same seed, same command, same machine: same numbers.")

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.errors import DefectError, InputError
-from bayes_aero.flight.card import parse_card
-from bayes_aero.flight.card_tables import ATMOSPHERE, RULES, UNFILLED, parse_table
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card_tables import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import STANDARD_CHANNELS, split_heading
 from bayes_aero.flight.checks import MIN_SAMPLES
 from bayes_aero.flight.health import noise_of, quantum
@@ -85,7 +84,7 @@ class Starter:
 
 
 def starter_card(path: Path) -> Starter:
-    """Guess from a record's columns; `DefectError` where the card would not be one."""
+    """Guess from a record's columns."""
     raw = read_raw(path)
     longest = max((len(c.values) for c in raw.columns if c.values is not None), default=0)
     if longest < MIN_SAMPLES:
@@ -113,9 +112,7 @@ def starter_card(path: Path) -> Starter:
         *model_block(found, "mach" in found or "mach" in _derivable(found)),
     ]
     todo = [(line.key, line.what) for line in lines if isinstance(line, Todo)]
-    text = "\n".join(lines) + "\n"
-    read_back(text, path.name)
-    return Starter(text, todo, found, unknown)
+    return Starter("\n".join(lines) + "\n", todo, found, unknown)
 
 
 def _text(words: str) -> str:
@@ -307,30 +304,6 @@ OPTIONAL = """\
 # lateral_rate_length = "5 m" # l in p l/V and r l/V; left out, it is half the span: p b/2V
 # engine_arm = "3 m" # of a left and a right engine from the plane of symmetry
 # engine_inclination = "0 deg" # of the thrust line, nose up"""
-
-
-def read_back(text: str, record: str) -> None:
-    """Parse a starter card with something plausible in place of every TODO; `DefectError` if it is no card."""
-    units = {"aircraft": AIRCRAFT_KEYS, "constants": {name: c.unit for name, c in STANDARD_CHANNELS.items()}}
-
-    def filled(given: Any, unit: str) -> Any:
-        if isinstance(given, dict):  # a channel
-            return {key: (1 if key == "column" else "1") if x == UNFILLED else x for key, x in given.items()}
-        return given if given != UNFILLED else 1.0 if unit == "1" else f"1 {unit}"
-
-    try:
-        table = parse_table(text.encode(), "of a starter")
-        table = {**table, "aircraft": {**table["aircraft"], "Ixz": "0 kg m^2"}}  # zero, as of some body
-        for section, entries in table.items():
-            if isinstance(entries, dict):
-                known = units.get(section, {})
-                table[section] = {key: filled(value, known.get(key, "1")) for key, value in entries.items()}
-        parse_card(table, "starter", "of a starter")
-    except InputError as reason:
-        raise DefectError(
-            f"the starter card of {record} was not written, for the program could not read it back ({reason})",
-            "write the card by hand (docs/reference/card.md explains every key)",
-        ) from reason
 
 
 # --- The section that names the model's effects, those of a stall where the record seems to hold one.

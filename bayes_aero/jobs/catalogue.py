@@ -17,7 +17,6 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.jobs.store import picked, provenance, sha256_of, writable, write_json
 from bayes_aero.model.model import own_effects
-from bayes_aero.parameter import Parameter
 from bayes_aero.units import quantity_to_si
 
 if TYPE_CHECKING:  # what computes and draws is heavy, and a study reads this module
@@ -232,7 +231,14 @@ def parsed_effects(given: Sequence[str], known: Mapping[str, Effect]) -> dict[st
         name, _, wanted = left.strip().partition(".")
         if not equals or not right.strip():
             raise InputError(f"--effect {text!r} has no value; write NAME=VALUE, e.g. pitch_rate_bias=0.01")
-        parameter = _parameter_of(effect_named(name, known), wanted, text)
+        parameters = {p.name: p for p in effect_named(name, known).parameters}
+        if not parameters:
+            raise InputError(f"--effect {text!r}: {name} has no parameter, so there is nothing to set")
+        if wanted not in parameters and (wanted or len(parameters) > 1):
+            names = " and ".join(f"{name}.{p}=VALUE" for p in parameters)
+            has = f"has no parameter {wanted}" if wanted else f"has {len(parameters)} parameters"
+            raise InputError(f"--effect {text!r}: {name} {has}; write {names}")
+        parameter = parameters[wanted] if wanted else next(iter(parameters.values()))
         values = found.setdefault(name, {})
         if parameter.name in values:
             raise InputError(f"--effect gives {parameter.name} twice; keep one of the two")
@@ -245,24 +251,7 @@ def parsed_effects(given: Sequence[str], known: Mapping[str, Effect]) -> dict[st
             raise InputError(f"--effect {text!r}: {parameter.name} must lie between {lower:g} and {upper:g}")
         values[parameter.name] = value
     for name, values in found.items():
-        missing = [p.name for p in known[name].parameters if p.name not in values and p.name not in TRUTH]
-        if missing:
-            raise InputError(
-                f"effect {name} has also the parameter {missing[0]}; add --effect {name}.{missing[0]}=VALUE"
-            )
+        if missing := [p.name for p in known[name].parameters if p.name not in values and p.name not in TRUTH]:
+            lacks = missing[0]
+            raise InputError(f"effect {name} has also the parameter {lacks}; add --effect {name}.{lacks}=VALUE")
     return found
-
-
-def _parameter_of(effect: Effect, wanted: str, text: str) -> Parameter:
-    """The parameter that an effect has by this name, or its only one."""
-    own = {p.name: p for p in effect.parameters}
-    if not own:
-        raise InputError(f"--effect {text!r}: {effect.name} has no parameter, so there is nothing to set")
-    if wanted:
-        if wanted not in own:
-            raise InputError(f"--effect {text!r}: {effect.name} has no parameter {wanted}, but {', '.join(own)}")
-        return own[wanted]
-    if len(own) > 1:
-        names = " and ".join(f"{effect.name}.{p}=VALUE" for p in own)
-        raise InputError(f"--effect {text!r}: {effect.name} has {len(own)} parameters; write {names}")
-    return next(iter(own.values()))

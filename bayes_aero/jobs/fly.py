@@ -116,7 +116,7 @@ def fitted(
     card, left_out = on_recorded_axes(card, records, OF_AXIS, DERIVED)
     flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
     if out is not None:
-        writable(out)
+        writable(out, "posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv")
     checks = record_checks(records, card, options.seed, out, progress=progress)
     undecided = options.process_noise is None
     met = in_gusts(records, card, options.seed) if undecided and checks.consistency.recorded else {}
@@ -154,9 +154,9 @@ def fitted(
         *motion_sentences(moves),
     )
     kept = FlightStore(card, records, out, source)
-    kept.begin(
-        Flight(flown, sentences, tuple(notes), checks.health, checks.consistency, failed, apart, beside, motion=moves)
-    )
+    found = (flown, sentences, tuple(notes), checks.health, checks.consistency, failed, apart, beside)
+    kept.result = Flight(*found, motion=moves)
+    kept.keep()
     if sample is not None and beside is not None and options.posterior and beside.converged:
         kept.sample(partial(sample, options.seed, progress))
     return kept
@@ -173,14 +173,6 @@ class FlightStore(Growing[Flight]):
         if found.posteriors:
             write_csv(posterior_table(found.posteriors), out / "posterior.csv")
         write_json(fly_results(found, self.card, self.records, self.source), out / RESULTS)
-
-    def begin(self, found: Flight) -> None:
-        """The numbers so far; posteriors of an earlier run go."""
-        self.result = found
-        for name in ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"):
-            if self.out is not None:
-                (self.out / name).unlink(missing_ok=True)
-        self.keep()
 
     def sample(self, sample: Sampling) -> None:
         """The posterior by each sampler, which takes minutes, and what is said of its chains."""

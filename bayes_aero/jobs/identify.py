@@ -30,7 +30,7 @@ from bayes_aero.inference.validation import (
 )
 from bayes_aero.jobs.check import record_checks, repaired
 from bayes_aero.jobs.options import IdentifyOptions
-from bayes_aero.jobs.results import identified, put_histories, remove_older, results, save_gp, write_identification
+from bayes_aero.jobs.results import identified, put_histories, results, save_gp, write_identification
 from bayes_aero.jobs.store import Growing, provenance, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise
@@ -44,6 +44,11 @@ from bayes_aero.report.pages.estimates import frequency_sentences, leaning_sente
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.residuals.equation_error import Band, lines_in
+
+OLDER = (
+    *(f"posterior_{key}.nc" for key in ("emcee", "nuts", "white")), "gpr.nc", "validation.csv", "next_flight.csv",
+    "next_flight.nc", "report.html", *(f"figures/{name}.png" for name in FIGURES),
+)  # fmt: skip
 
 
 def identify(
@@ -103,7 +108,7 @@ class _Job(Growing[Identification]):
         self.flown: tuple[SimulatedManoeuvre, ...] = ()
         super().__init__(card, records, out, provenance(card, records, options.seed, options.settings, options))
         if out is not None:
-            writable(out)
+            writable(out, *OLDER)
 
     def write(self, out: Path) -> None:
         write_identification(self.result, out)
@@ -233,7 +238,6 @@ class _Job(Growing[Identification]):
                 failed = put_page(lambda: identification_page(self.result, *shown), out)
             if failed:
                 self.keep((), failed)
-        remove_older(self.result, out, page=options.page, figures=options.figures)
 
 
 def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:

@@ -86,14 +86,7 @@ class ReadingOptions(Options):
 
 @dataclass(frozen=True)
 class IdentifyOptions(Options):
-    """What an identification may be told.
-
-    `coefficients` are formed from signals all filtered alike (`matched`) or as the published ones (`published`).
-    With `next_flight` the manoeuvres are pooled.
-    Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
-    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
-    `frequency`: a band, Hz, in which the parameters are fitted, too.
-    """
+    """What an identification may be told; each option says what it is."""
 
     SETTINGS = ("noise", "split", "coefficients", "frequency")
     APART = ("seed", "noise", "split")
@@ -113,13 +106,7 @@ class IdentifyOptions(Options):
 
 @dataclass(frozen=True)
 class DiagnoseOptions(Options):
-    """What a diagnosis may be told.
-
-    `max_effects` is the number of effects that each stage may add. `test_points` adds the manoeuvres that would decide
-    what is open and the sizes of the causes in a band of frequencies, `trajectories` simulated ones. With
-    `process_noise` the model is compared with innovations, in gusts, instead of coefficients; None: where the records
-    are in gusts.
-    """
+    """What a diagnosis may be told; each option says what it is."""
 
     SETTINGS = ("max_effects", "process_noise")
     seed: int = _seed()
@@ -231,11 +218,7 @@ class PathOptions(Options):
 
 @dataclass(frozen=True)
 class QualifyOptions(Options):
-    """What a qualification may be told.
-
-    `card`: of the result, where it is not found by itself; `fitted`: files of its records, likewise. `draws` of every
-    flight. `gusts`: a stated intensity, m/s.
-    """
+    """What a qualification may be told; `fitted` are files of the records of the result."""
 
     card: str | None = option(
         None, "The card of the result, where it is not found by itself.", name="model", metavar="CARD"

@@ -47,7 +47,6 @@ from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.jobs.store import picked
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.pages.estimates import PooledScores, flown
 from bayes_aero.report.pages.findings import sentences
 from bayes_aero.report.pages.fly import parameter_rows
@@ -309,17 +308,6 @@ def write_identification(run: Identification, out: Path) -> None:
         write_csv(next_flight_table(run), out / "next_flight.csv")
     if run.gp is not None:
         write_csv(validation_table(run), out / "validation.csv")
-
-
-def remove_older(run: Identification, out: Path, *, page: bool, figures: bool) -> None:
-    """Take away what an earlier run has left in the folder and this one, now complete, has no successor for."""
-    files = [(key in run.posteriors, f"posterior_{key}.nc") for key in ("emcee", "nuts", "white")]
-    files += [(run.gp is not None, name) for name in ("gpr.nc", "validation.csv")]
-    files += [(run.next_flight is not None, name) for name in ("next_flight.csv", "next_flight.nc")]
-    files += [(page, "report.html"), *((figures, f"figures/{stem}.png") for stem in FIGURES)]
-    for kept, name in files:
-        if not kept:
-            (out / name).unlink(missing_ok=True)
 
 
 def save_gp(report: GPReport, path: Path) -> None:

@@ -195,10 +195,11 @@ RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", 
 """Names that Windows keeps for devices, whatever follows their first full stop."""
 
 
-def writable(folder: Path) -> None:
+def writable(folder: Path, *older: str) -> None:
     """Make the folder for results, or say why it cannot be; a link in it that leads out of it is refused.
 
-    What is written would land there. The folder may be a link itself, for the user has named it.
+    What is written would land there. The folder may be a link itself, for the user has named it. `older`: files
+    of an earlier run, which go.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -206,7 +207,8 @@ def writable(folder: Path) -> None:
         for path in sorted(folder.iterdir()):
             if path.is_symlink() and not path.resolve().is_relative_to(root):
                 leads_out = path
-        (folder / ERROR).unlink(missing_ok=True)  # of an earlier run
+        for name in (ERROR, *older) if leads_out is None else ():
+            (folder / name).unlink(missing_ok=True)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot write to {folder} ({reason}); give another folder with --out") from None

@@ -553,9 +553,7 @@ def put_report(study: Study, out: Path) -> tuple[str, tuple[str, ...]]:
 
 
 def _table(out: Path, name: str) -> pd.DataFrame:
-    table = pd.read_parquet(out / f"{name}.parquet")
-    text = [column for column in table.columns if column not in NUMBERS]
-    return table.assign(**{column: table[column].astype(object).fillna("") for column in text})
+    return pd.read_csv(out / f"{name}.csv", keep_default_na=False, na_values={key: [""] for key in NUMBERS})
 
 
 # --- Runs a study: its units one after the other, or by a cluster; a repeated run resumes it.
