@@ -64,7 +64,7 @@ def identify(
 
     `truth` has the parameters that simulated records were flown with: they are shown beside the estimates.
     """
-    job = _Job(records, card, options, out, progress)
+    job = IdentificationJob(records, card, options, out=out, progress=progress)
     job.fit(truth)
     if options.frequency is not None:
         job.fit_in_band(options.frequency)
@@ -83,7 +83,7 @@ def identify(
     return job.result
 
 
-class _Job(Growing[Identification]):
+class IdentificationJob(Growing[Identification]):
     """An identification in work: every step adds to it, and puts on disk what it has found."""
 
     def __init__(
@@ -91,17 +91,19 @@ class _Job(Growing[Identification]):
         records: Sequence[FlightRecord],
         card: Card,
         options: IdentifyOptions,
-        out: Path | None,
-        progress: Progress | None,
+        *,
+        model: Model | None = None,
+        out: Path | None = None,
+        progress: Progress | None = None,
     ) -> None:
         if options.frequency is not None:
             for record in records:  # refuses a band in which it has no frequency
                 lines_in(options.frequency, record.n, record.dt, record.name)
         if options.next_flight:
             check_manoeuvres(len(records))
-        card, self.left_out = on_recorded_axes(card, records)
+        card, self.left_out = on_recorded_axes(card, records) if model is None else (card, ())
         self.options, self.progress = options, progress
-        self.model = Model.from_card(card)
+        self.model = model or Model.from_card(card)
         self.repaired, self.spikes = repaired(records)
         self.observations = observe(self.repaired, card, self.model, Forming(options.coefficients))
         self.seconds: dict[str, float] = {}
@@ -130,13 +132,13 @@ class _Job(Growing[Identification]):
         with self.timed(name):
             return self.attempt(left_out, do, bad=bad)
 
-    def fit(self, truth: Mapping[str, float] | None) -> None:
+    def fit(self, truth: Mapping[str, float] | None = None, **checks: Any) -> None:
         """Maximum likelihood, of all manoeuvres and of each alone; the sensors are compared before."""
         model, observations, seed = self.model, self.observations, self.options.seed
         forming, many = Forming(self.options.coefficients), len(self.records)
         matched = forming is Forming.MATCHED
         with self.timed("do the sensors agree?"):
-            checks = record_checks(self.records, self.card, seed, self.out)
+            checked = record_checks(self.records, self.card, seed, self.out, **checks)
         said = []
         if many > MAX_SEPARATE_FITS:
             said.append(f"{many} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
@@ -154,9 +156,9 @@ class _Job(Growing[Identification]):
                 {},
                 {},
                 notes=(*self.left_out, *self.spikes, *(rate_notes(self.records) if matched else ()), *said),
-                failures=checks.failures,
-                health=checks.health,
-                consistency=checks.consistency,
+                failures=checked.failures,
+                health=checked.health,
+                consistency=checked.consistency,
                 truth=truth,
                 seconds=self.seconds,
                 forming=forming,
@@ -164,8 +166,7 @@ class _Job(Growing[Identification]):
             if matched:
                 what = "The bias from sensor noise was not subtracted from the estimates"
                 correct = partial(without_noise_bias, raw, self.repaired, self.card, model, seed=seed)
-                mle = self.attempt(what, correct, raw)
-                self.result = replace(self.result, mle=mle)
+                self.result = replace(self.result, mle=self.attempt(what, correct, raw))
             each = partial(fit_each_manoeuvre, model, observations, seed=seed)
             alone = self.attempt("Manoeuvres were not fitted alone", each, {})
             preparation = () if matched else filter_mismatch_notes(self.repaired, self.card, model, raw)
@@ -198,22 +199,11 @@ class _Job(Growing[Identification]):
     def sample(self) -> None:
         for key, colour, engine in posterior_plan(Colour(self.options.noise)):
             left_out = f"The posterior by {key} under {colour.value} noise was not sampled"
-            found = self.stage(key, left_out, partial(self.posterior, key, colour, engine))
-            if found is not None:
+            do = partial(sampled, self.result, key, colour, engine, seed=self.options.seed, progress=self.progress)
+            if (found := self.stage(key, left_out, do)) is not None:
                 if self.out is not None:
                     found[0].save(self.out / f"posterior_{key}.nc")
                 self.keep(found[1], posteriors=self.result.posteriors | {key: found[0]})
-
-    def posterior(self, key: str, colour: Colour, engine: Any) -> tuple[Posterior, tuple[str, ...]]:
-        """A posterior, with what is said of its other modes and of the priors that it leans on."""
-        run, seed = self.result, self.options.seed
-        density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
-        mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
-        found = engine(density, mode, seed=seed, progress=self.progress)
-        told = other_modes(mode, f"{key}, {colour.value} noise")
-        if run.mle.conflicts and key == "emcee":
-            told += leaning_sentences(prior_sensitivity(density, found), run.mle.conflicts)
-        return found, told
 
     def train_gp(self) -> None:
         """Gaussian processes beside maximum likelihood; too many samples for the exact process are a note."""
@@ -240,13 +230,23 @@ class _Job(Growing[Identification]):
                 self.keep((), failed)
 
 
+def sampled(
+    run: Identification, key: str, colour: Colour, engine: Any, *, seed: int, progress: Progress | None = None
+) -> tuple[Posterior, tuple[str, ...]]:
+    """A posterior, with what is said of its other modes and of the priors that it leans on."""
+    density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
+    mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
+    found = engine(density, mode, seed=seed, progress=progress)
+    notes = other_modes(mode, f"{key}, {colour.value} noise")
+    if run.mle.conflicts and key == "emcee":
+        notes += leaning_sentences(prior_sensitivity(density, found), run.mle.conflicts)
+    return found, notes
+
+
 def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
     """Which posteriors are sampled, under which noise model and by which engine."""
     plan = [("emcee", noise, sample_ensemble), ("nuts", noise, sample_nuts)]
     return plan if noise is Colour.WHITE else [*plan, ("white", Colour.WHITE, sample_ensemble)]
-
-
-# --- Several manoeuvres of an identification: what they say of the next flight.
 
 
 def pooled_manoeuvres(
