@@ -236,8 +236,7 @@ def export(
         ),
     ],
     to: Annotated[
-        ExportForm,
-        typer.Option(help="jsbsim: aerodynamics, states and a body; fmu: FMI 2.0; tables: NetCDF and CSV."),
+        ExportForm, typer.Option(help="jsbsim: aerodynamics, states and a body; fmu: FMI 2.0; tables: NetCDF and CSV.")
     ],
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: NAME_FORM, here.")] = None,
     model: terminal.ResultCardOption = None,

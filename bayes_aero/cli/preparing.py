@@ -143,10 +143,7 @@ def card(
         )
     if report is not None:
         console.print(f"The report is in {report}", soft_wrap=True)
-    split = " --split" if starter.parts > 1 else ""
-    if split:
-        console.print(f"Gaps in time divide the file into {starter.parts} parts: --split reads each as a manoeuvre.")
-    console.print(f"Then: bayes-aero check {record} --model {target}{split}", soft_wrap=True)
+    console.print(f"Then: bayes-aero check {record} --model {target}", soft_wrap=True)
     terminal.print_failures(console, failures)
     terminal.exit_if_failed(failures)
 

@@ -1,4 +1,4 @@
-"""What all commands share: exit codes, options of their classes, the bar, JSON on stdout, options that are gone."""
+"""What all commands share: exit codes, options of their classes, the bar, JSON on stdout."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
-from bayes_aero.errors import InputError
 from bayes_aero.jobs.options import MAX_SEED, Options, ReadingOptions
 from bayes_aero.progress import Progress
 
@@ -232,28 +231,3 @@ def working(out: Path, first: str = "reading") -> Iterator[Progress]:
 
     with interruptible(resume), bar(first) as tell:
         yield tell
-
-
-# --- Options of the command line that are gone: one row each, told before the command line is parsed.
-
-PREDICTORS = (
-    "predictors are no longer compared; use --no-test-points to leave out the manoeuvres that decide what is open"
-)
-GONE = {
-    ("diagnose", "--predictors"): PREDICTORS,
-    ("diagnose", "--no-predictors"): PREDICTORS,
-    ("fly", "--drift"): "run diagnose, which says whether a parameter changed, when and by how much",
-    ("identify", "--approximate-gp"): "Gaussian processes are exact; give shorter parts of the records (FILE@FROM:TO) "
-    "or a longer --resample",
-    ("run", "--verify"): "run the study again with another --out and compare the two summary.csv",
-}
-"""By command and option, the rest of the sentence: what to use instead."""
-
-
-def refuse_gone(arguments: Sequence[str]) -> None:
-    """Raise `InputError` for an option that is gone, with what to use instead; `arguments`: the command first."""
-    command, *rest = arguments or ("",)
-    options = rest[: rest.index("--")] if "--" in rest else rest  # behind it are names of files
-    for option in (argument.partition("=")[0] for argument in options):
-        if instead := GONE.get((command, option)):
-            raise InputError(f"{option} of {command} is gone: {instead}")

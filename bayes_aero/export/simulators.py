@@ -206,8 +206,7 @@ def aircraft_xml(found: Identified) -> str:
         element("mass_balance", *balance, negated_crossproduct_inertia="false"),
         element("ground_reactions"),
         element(
-            "external_reactions",
-            element("force", thrust, _location(a.engine), direction, name="thrust", frame="BODY"),
+            "external_reactions", element("force", thrust, _location(a.engine), direction, name="thrust", frame="BODY")
         ),
         element("system", file=f"{found.name}-states"),
         element("aerodynamics", file=f"{found.name}-aerodynamics.xml"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +15,7 @@ from bayes_aero.flight.card_tables import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import STANDARD_CHANNELS, split_heading
 from bayes_aero.flight.checks import MIN_SAMPLES
 from bayes_aero.flight.health import noise_of, quantum
-from bayes_aero.flight.reading import RawColumn, read_raw, repeats
-from bayes_aero.flight.record import parts_of
+from bayes_aero.flight.reading import RawColumn, read_raw
 from bayes_aero.jobs.column_inference import Guess, guessed
 from bayes_aero.jobs.store import picked, provenance, sha256_of
 from bayes_aero.physics.aircraft import AIRCRAFT_KEYS, FORMED_FROM, REQUIRED, Axis
@@ -32,7 +30,6 @@ LATERAL = ("p", "r")
 HELD = (*LATERAL, "density", "thrust")  # may be stated as constants
 LEVEL = {"phi": "deg", "beta": "deg", "ay": "m/s^2"}  # the flight path's, zero where wings stay level; in this unit
 STILL = np.deg2rad(0.5)  # rad/s of roll and yaw rate, in the mean square
-SPOOL = re.compile(r"(?<![A-Za-z0-9])N[123](?![0-9])", re.IGNORECASE)  # a heading's word for the speed of a spool
 KINEMATIC = ("theta", "phi", "beta", "ay", "altitude")
 
 
@@ -56,13 +53,6 @@ class Starter:
     todo: list[tuple[str, str]]
     found: dict[str, Guess]
     unknown: list[RawColumn]
-
-    @property
-    def parts(self) -> int:
-        """Parts of the file between gaps in time."""
-        time = self.found["time"].si if "time" in self.found and not self.doubt("time") else np.zeros(1)
-        again = repeats(time, (guess.values for guess in self.found.values() if len(guess.values) == len(time)))
-        return sum(end - begin >= MIN_SAMPLES for begin, end in parts_of(time[~again]))
 
     @property
     def blind(self) -> tuple[str, ...]:
@@ -152,11 +142,8 @@ def channels_block(
         if column.values is None:
             yield comment(f"{column.place}: no numbers")
             continue
-        said = column.unit or (split_heading(column.label)[1] if column.label else None) or "?"
-        if said == "?" and column.label is not None and SPOOL.search(column.label):  # an engine speed, by its size
-            size = float(np.nanmax(np.abs(column.values), initial=0.0))
-            said = "rpm" if size > 200.0 else "%" if size > 2.0 else "1"
-        unit = _text(canonical(said) or said)
+        stated = column.unit or (split_heading(column.label)[1] if column.label else None) or "?"
+        unit = _text(canonical(stated) or stated)
         yield f"# NAME = {{ {_place(column)}, unit = {unit}, required = false }} # {_range(column.values)}"
     if headless:
         yield "# The file has no header, so nothing can be guessed: say which column is what."
@@ -218,10 +205,8 @@ def _both(found: Mapping[str, Guess], name: str) -> bool:
 def _derivable(found: Mapping[str, Guess]) -> dict[str, str]:
     """Channels that are not in the file and can be formed from it, each by the best rule."""
     have = _taken(found)
-    best = {
-        name: next((rule for rule, needs in rules.items() if set(needs) <= have), None) for name, rules in RULES.items()
-    }
-    return {name: rule for name, rule in best.items() if rule is not None and name not in have}
+    formed = {n: [rule for rule, needs in rules.items() if set(needs) <= have] for n, rules in RULES.items()}
+    return {name: rules[0] for name, rules in formed.items() if rules and name not in have}
 
 
 def constants_block(found: Mapping[str, Guess]) -> Iterator[str]:
@@ -247,17 +232,11 @@ def constants_block(found: Mapping[str, Guess]) -> Iterator[str]:
         what = 'of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found'
         lines.append(Todo("density", '"TODO"', what))
     if "thrust" not in found and not _taken(found) >= {"thrust_left", "thrust_right"}:
-        sides = [name for name in ("thrust_left", "thrust_right") if name in found]
-        was = (
-            "was not found in the file",
-            f"only {sides[0]} was" if sides else "",
-            "both sides were found, but not taken",
-        )
-        what = f'total net thrust, e.g. "2500 N"; {was[len(sides)]}. Drag is as good as this'
-        lines.append(Todo("thrust", '"TODO"', what))
-    lines += [
-        f'{name} = "0 rad/s" # guess: found under no heading, taken as zero' for name in LATERAL if name not in found
-    ]
+        sides = " and ".join(name for name in ("thrust_left", "thrust_right") if name in found)
+        was = f"only {sides} was, or not taken" if sides else "was not found in the file"
+        lines.append(Todo("thrust", '"TODO"', f'total net thrust, e.g. "2500 N"; {was}. Drag is as good as this'))
+    zero = '"0 rad/s" # guess: found under no heading, taken as zero'
+    lines += [f"{name} = {zero}" for name in LATERAL if name not in found]
     level = [name for name in LEVEL if name not in found]
     if level and "theta" in found and "altitude" in found:  # the flight path needs them
         if all(np.nanstd(found[name].si) < STILL for name in LATERAL if name in found):

@@ -354,22 +354,15 @@ def other_speeds(found: Guesses) -> None:
 
 @step("density")
 def density_of_air(found: Guesses, guess: Guess) -> None:
-    """Unit in which it is that of a standard atmosphere at the altitude, else what dynamic pressure and airspeed make,
-    else that of some air."""
-    height, speed, pressure = (found.get(name) for name in ("altitude", "airspeed", "dynamic_pressure"))
-    middle, rho, why = float(np.median(guess.values)), MIDDLING, "flight goes on"
-    if guess.unit is not None or not middle > 0.0:
-        return
-    if height is not None:
-        rho, why = float(np.median(standard_air(height.si)[0])), "a standard atmosphere has at the altitude"
-    elif speed is not None and pressure is not None and pressure.unit is not None:
-        rho = float(np.median(2.0 * pressure.si / np.maximum(speed.si, 1.0) ** 2))
-        why = "dynamic pressure and airspeed make"
-    units = ["kg/m^3", "slug/ft^3", "lb/ft^3", "g/m^3", *(["g/cm^3"] if height is not None else [])]
-    sizes = {u: float(to_si(1.0, u, "density", "kg/m^3")) for u in units}  # slug/ft^3 and g/cm^3 are a factor 2 apart
+    """Unit in which it is that of a standard atmosphere at the altitude, else that of some air."""
+    height, middle = found.get("altitude"), float(np.median(guess.values))
+    rho = MIDDLING if height is None else float(np.median(standard_air(height.si)[0]))
     ratio = middle / max(rho, 1e-3)
-    unit = nearest(ratio, sizes)
-    state(found, guess, f"it is {ratio * sizes[unit]:.2g} times what {why} in {unit}", unit=unit)
+    if guess.unit is None and ratio > 0.0:
+        units = ["kg/m^3", "slug/ft^3", "lb/ft^3", "g/m^3", *(["g/cm^3"] if height is not None else [])]
+        sizes = {u: float(to_si(1.0, u, "density", "kg/m^3")) for u in units}  # two of them are a factor 2 apart
+        unit = nearest(ratio, sizes)
+        state(found, guess, f"it is {ratio * sizes[unit]:.2g} times that of air in {unit}", unit=unit)
 
 
 @step("dynamic_pressure", "airspeed")

@@ -136,9 +136,7 @@ def as_written(file: Path) -> Iterator[None]:
 
 
 def read_finished(
-    given: str,
-    card: str | None = None,
-    no_card: str = "; give the folder of a result of identify, fly or diagnose",
+    given: str, card: str | None = None, no_card: str = "; give the folder of a result of identify, fly or diagnose"
 ) -> FinishedResult:
     """The result in a folder or file; its model may be a linear system. A card is refused with `no_card`.
 

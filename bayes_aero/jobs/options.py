@@ -153,9 +153,7 @@ class FlyOptions(Options):
     )
     priors: bool = option(True, "--no-priors: a fit without priors of parameters and initial states.")
     outputs: Names = option(
-        None,
-        "Outputs to compare, e.g. alpha,q,q_dot; default: the card's, or all but q_dot.",
-        metavar="NAME,NAME",
+        None, "Outputs to compare, e.g. alpha,q,q_dot; default: the card's, or all but q_dot.", metavar="NAME,NAME"
     )
     inputs: str = option(
         LINEAR,

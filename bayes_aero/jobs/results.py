@@ -205,10 +205,7 @@ def path_part(
 
 
 def results(
-    run: Identification,
-    verdict: list[str],
-    provenance: dict[str, Any],
-    simulated: Sequence[SimulatedManoeuvre] = (),
+    run: Identification, verdict: list[str], provenance: dict[str, Any], simulated: Sequence[SimulatedManoeuvre] = ()
 ) -> parts.IdentificationDocument:
     """A run as plain numbers and text, parts not yet computed absent; `simulated`: flown with the fitted values."""
     alone = {name: parts.AloneFit.of(fit, **_fit(fit)) for name, fit in run.alone.items()}

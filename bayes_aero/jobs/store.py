@@ -34,11 +34,7 @@ PACKAGES = (
 
 
 def provenance(
-    card: Card | None,
-    records: Sequence[FlightRecord],
-    seed: int | None,
-    settings: dict[str, Any],
-    options: Any = None,
+    card: Card | None, records: Sequence[FlightRecord], seed: int | None, settings: dict[str, Any], options: Any = None
 ) -> dict[str, Any]:
     """All that is needed to make the run again; the only part of the results that names a time or a machine.
 

@@ -278,15 +278,6 @@ def test_units_of_angles_and_rates_show_in_one_another(tmp_path, sizes, stated):
     assert {name: made["channels"][name]["unit"] for name in sizes} == units
 
 
-@pytest.mark.parametrize(
-    ("heading", "size", "unit"), [("eng N2", 85.0, "%"), ("N1", 80.0, "%"), ("N2", 14000.0, "rpm")]
-)
-def test_spool_speeds_are_no_forces(tmp_path, heading, size, unit):
-    _, text = starter_of(tmp_path, **{heading: size + 0.01 * np.arange(751)})
-    (line,) = [line for line in text.splitlines() if f'label = "{heading}"' in line]
-    assert f'unit = "{unit}"' in line
-
-
 XPLANE = {
     "time": "_real,_time", "airspeed": "Vtrue,_ktas", "alpha": "alpha,__deg", "theta": "pitch,__deg",
     "phi": "_roll,__deg", "q": "____Q,rad/s", "az": "Gload,norml", "ax": "Gload,axial", "altitude": "__alt,ftmsl",

@@ -4,9 +4,7 @@ import json
 import re
 import subprocess
 import sys
-import time
 from functools import reduce
-from types import SimpleNamespace
 from typing import get_args
 from unittest.mock import Mock, patch
 
@@ -18,11 +16,10 @@ import stranger_six
 from calling import answer, called, holds, page_of, recorded, succeeded, validated
 from markupsafe import escape
 
-from bayes_aero.cli import app, main, terminal
+from bayes_aero.cli import app, main
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
 from bayes_aero.diagnosis.trajectories import WINDOW
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.entry import _heed
 from bayes_aero.flight import reading
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.validation import SplitKind
@@ -98,20 +95,6 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch, flights):
     done = program("identify", flights.sound)
     assert done.code == INTERRUPTED
     assert "nothing had been written" in done.err
-
-
-@pytest.mark.usefixtures("interruptible")
-def test_a_ctrl_c_that_a_library_drops_is_raised_again():
-    """JAX hangs a callback on garbage collection; what is raised in it is printed and forgotten."""
-    stop = {"exc_type": KeyboardInterrupt, "exc_value": KeyboardInterrupt()}
-    dropped = SimpleNamespace(**stop, exc_traceback=None, err_msg=None, object=None)
-
-    def callback():
-        _heed(dropped)
-        time.sleep(5.0)
-
-    with pytest.raises(KeyboardInterrupt):
-        callback()
 
 
 def test_nothing_of_an_earlier_run_stands_beside_a_later_one_and_json_is_all_on_stdout(program, flights, tmp_path):
@@ -193,25 +176,6 @@ def test_nothing_heavy_is_loaded(files, code, arguments):
     found, loaded = json.loads(done.stderr.splitlines()[-1])
     assert found == code
     assert set(loaded).isdisjoint(ANY if arguments == "--help" else HEAVY), done.stderr
-
-
-SPELLED = [(*option, instead) for option, instead in terminal.GONE.items()]
-
-
-@pytest.mark.parametrize(("command", "option", "instead"), SPELLED)
-@pytest.mark.parametrize("value", ["", "=x"])
-def test_an_option_that_is_gone_says_what_to_use(program, command, option, instead, value):
-    done = program(command, "no_such_file", option + value)
-    assert (done.code, done.out) == (2, "")
-    assert done.err == f"error: {option} of {command} is gone: {instead}\n"
-    assert option not in program(command, "--help").out.split()
-
-
-def test_other_commands_and_names_of_files_are_left_alone(program, monkeypatch):
-    monkeypatch.setattr(terminal, "GONE", {("check", "--old"): "leave it out"})
-    assert "--no-old of check is gone: leave it out" in program("check", "a.csv", "--no-old").err
-    assert "gone" not in program("path", "a.csv", "--no-old").err
-    assert "gone" not in program("check", "--", "--no-old").err
 
 
 SETTINGS = ("--noise", "white", "--no-gp", "--no-figures", "--next-flight")
