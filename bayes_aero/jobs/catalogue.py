@@ -175,16 +175,11 @@ TRUTH_SCHEMA = "bayes_aero/truth/1"
 
 
 def simulate_file(
-    request: Request, card: Card, known: Mapping[str, Effect], out: Path, *, page: bool = False
-) -> tuple[Synthetic, dict[str, Any], tuple[str, ...]]:
-    """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again.
-
-    With `page` there is `out`.report.html, too; the last item states what of it could not be made.
-    """
+    request: Request, card: Card, known: Mapping[str, Effect], out: Path
+) -> tuple[Synthetic, dict[str, Any]]:
+    """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again."""
     from bayes_aero.flight.reading import read_record
     from bayes_aero.flight.record import WRITERS, write_record
-    from bayes_aero.report.html.page import put_page
-    from bayes_aero.report.pages.check import simulated_page
     from bayes_aero.simulate.injection import synthetic
 
     if out.suffix.lower() not in WRITERS:
@@ -211,11 +206,7 @@ def simulate_file(
         "provenance": source,
     }
     write_json(truth, out.with_name(out.name + ".truth.json"))
-    failures: tuple[str, ...] = ()
-    if page:
-        flown = [p for e in known.values() for p in e.parameters if p.name in found.parameters]
-        failures = put_page(lambda: simulated_page(record, card, truth, flown), out.parent, out.name + ".report.html")
-    return found, truth, failures
+    return found, truth
 
 
 # --- Effects as they are asked for on the command line and in studies: "NAME=VALUE" or "NAME.PARAMETER=VALUE".

@@ -253,43 +253,37 @@ def uncertain(
     source: FinishedResult, flown: SegmentTrajectories, options: QualifyOptions, progress: Progress | None = None
 ) -> tuple[Uncertain, dict[str, str]]:
     """What is not known of the model, and a sentence on where each part comes from; `flown`: its records."""
-    names, told, draws = flown.dynamics.names, source.told, options.draws
+    names, count = flown.dynamics.names, options.draws
     estimate = np.array([source.identified.values[name] for name in names])
-    if "causes" in told:
+    if source.command == "diagnose":
         fit = fit_output_error(flown, start=estimate, max_iterations=0)
         inflation = trajectory_variance_inflation(fit)
-        values = posterior_draws(fit, inflation, options.seed, draws)
-        said = (
+        values = posterior_draws(fit, inflation, options.seed, count)
+        origin = (
             "Normal distribution about the estimates; the covariance is that of the trajectories at these values, for "
             f"coloured residuals (variances times {inflation:.3g})."
         )
     else:  # what the result does not determine stays at its estimate
-        found = drawn(source, names, draws, options.seed)
-        values = np.tile(estimate, (draws, 1))
-        for column, name in enumerate(found.names):
-            values[:, names.index(name)] = found.values[:, column]
-        said = f"{found.origin[0].upper()}{found.origin[1:]}."
-    by_trajectories = source.command == "fly" and not source.filtered  # output error gave the values
-    model = Uncertain(estimate, values, fitted=by_trajectories)
-    origins = {"parameters": said}
-    if by_trajectories:
+        found = drawn(source, names, count, options.seed)
+        values = np.tile(estimate, (count, 1))
+        values[:, [names.index(name) for name in found.names]] = found.values
+        origin = f"{found.origin[0].upper()}{found.origin[1:]}."
+    if source.command == "fly" and not source.filtered:  # output error gave the values
+        model = Uncertain(estimate, values, fitted=True)
         model, more = between_manoeuvres(source, model, flown, options.seed, progress)
-        origins |= more
     else:
-        origins["structure"] = (
-            "The errors of the simulated records, less what the parameters explain: the parameters were not fitted to "
-            "these trajectories."
-        )
-        following = drawn_by_identify(source, names, estimate, draws, options.seed)
-        model = replace(model, following=following)
-        origins["next flight"] = (
-            f"Partial pooling of the manoeuvres by identify ({NEXT_FLIGHT})."
-            if following is not None
-            else "Not counted by itself: the result has no scatter between manoeuvres (identify --next-flight has). "
-            "The errors of the records hold it."
-        )
+        following = drawn_by_identify(source, names, estimate, count, options.seed)
+        model = Uncertain(estimate, values, fitted=False, following=following)
+        more = {
+            "structure": "The errors of the simulated records, less what the parameters explain: the parameters were "
+            "not fitted to these trajectories.",
+            "next flight": "Not counted by itself: the result has no scatter between manoeuvres (identify "
+            "--next-flight has). The errors of the records hold it."
+            if following is None
+            else f"Partial pooling of the manoeuvres by identify ({NEXT_FLIGHT}).",
+        }
     gusts, stated, said = gusts_of(source, options.gusts)
-    return replace(model, gusts=gusts, met=not stated), origins | {"gusts": said}
+    return replace(model, gusts=gusts, met=not stated), {"parameters": origin, **more, "gusts": said}
 
 
 def between_manoeuvres(
@@ -297,19 +291,15 @@ def between_manoeuvres(
 ) -> tuple[Uncertain, dict[str, str]]:
     """Hold-out errors and the scatter between manoeuvres, where there are at least two."""
     count, linear = len(flown.index), source.linear
-    own, flat = (linear.rows.by_manoeuvre, linear.fitted.flat) if linear is not None else ((), ())
+    separate, flat = (linear.rows.by_manoeuvre, linear.fitted.flat) if linear is not None else ((), ())
     alone = "The errors of the fitted records, which are smaller than those of a flight that was not fitted"
-    if not 1 < count <= MAX_SEPARATE_FITS:
-        return model, {
-            "structure": f"{alone}: with {count} manoeuvre{'s' if count > 1 else ''} none was left out.",
-            "next flight": f"Not counted: it needs 2 to {MAX_SEPARATE_FITS} manoeuvres.",
-        }
-    if own:
-        return model, {
-            "structure": f"{alone}: a flight that is not fitted has no value of {several(own)}, which the card states "
-            "for each manoeuvre.",
-            "next flight": f"Not counted: the card states {several(own)} for each manoeuvre.",
-        }
+    if not 1 < count <= MAX_SEPARATE_FITS or separate:
+        why = f"{alone}: with {count} manoeuvre{'s' * (count > 1)} none was left out."
+        needs = f"Not counted: it needs 2 to {MAX_SEPARATE_FITS} manoeuvres."
+        if separate:
+            states = f"the card states {several(separate)} for each manoeuvre"
+            why, needs = f"{alone}: {states}, so that a flight that is not fitted has none.", f"Not counted: {states}."
+        return model, {"structure": why, "next flight": needs}
     if progress:
         progress("fits without each manoeuvre", 0.0)
     inflation = float(source.told["variance_inflation"])
@@ -346,11 +336,11 @@ def drawn_by_identify(
 ) -> Float[np.ndarray, "m k"] | None:
     """The next flight's parameters that identify has drawn, where it was asked to."""
     file = source.folder / NEXT_FLIGHT
-    if "mle" not in source.told or not file.is_file():
+    if source.command != "identify" or not file.is_file():
         return None
     with xr.open_datatree(file, engine="h5netcdf") as tree:
-        one = tree["posterior"].to_dataset()["next_flight"]
-        known, draws = [str(n) for n in one["parameter"].values], np.asarray(one).reshape(-1, one.shape[-1])
+        following = tree["posterior"].to_dataset()["next_flight"]
+        known, draws = following["parameter"].values.astype(str), np.asarray(following).reshape(-1, following.shape[-1])
     kept = np.random.default_rng([seed, 11]).choice(len(draws), count, replace=len(draws) < count)
     values = np.tile(estimate, (count, 1))
     for column, name in enumerate(known):

@@ -131,7 +131,7 @@ def test_an_unexpected_failure_is_one_sentence_and_a_traceback_if_asked_for(prog
 
 def test_an_effect_on_the_aircraft_is_flown_by_a_program_of_its_own(tmp_path):
     """A process that has read no record flies an aircraft whose mass is a traced number."""
-    given = ("simulate", "--effect", "mass_scale=0.06", "--duration", "8", "--no-page", "--out", tmp_path / "m.csv")
+    given = ("simulate", "--effect", "mass_scale=0.06", "--duration", "8", "--out", tmp_path / "m.csv")
     done = subprocess.run([sys.executable, "-m", "bayes_aero", *given], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     truth = json.loads((tmp_path / "m.csv.truth.json").read_text())
