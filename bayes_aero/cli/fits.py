@@ -378,7 +378,7 @@ def run(
         raise InputError("--memory is for the processes of --workers; give how many")
     if dry_run and (workers or scheduler):
         raise InputError("--dry-run is done in this process; leave --workers and --scheduler out")
-    from bayes_aero.study.run import leftovers, plan, read_study
+    from bayes_aero.study.run import plan, read_study
 
     asked = read_study(study, trust_effects=trust_effects)  # a mistake is reported before the libraries are loaded
     folder = out or Path(f"{study.stem}_results")
@@ -386,8 +386,6 @@ def run(
         raise InputError(f"{folder} is a file; give another folder with --out")
     planned = plan(asked, folder)
     console = terminal.teller(quiet=json)
-    if rest := leftovers(asked, folder):
-        console.print(f"! not of this study, left as they are: {', '.join(rest)}", soft_wrap=True)
     rows: dict[str, dict[str, Any]] = {}
     for p in planned:
         rows[p.unit.name] = {"name": p.unit.name, **asdict(p.state), "seconds": None, "error": p.state.why}

@@ -162,9 +162,6 @@ def effects(
     model: Annotated[
         str | None, typer.Option(help="A card, for its own effect files and what its model has.", metavar="CARD")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for report.html and effects.json; none: nothing is written.")
-    ] = None,
     json: terminal.JsonOption = False,
 ) -> None:
     """List the catalogue of effects, or explain one: claim, formula, parameters, priors, worked example, source.
@@ -172,23 +169,18 @@ def effects(
     Example: bayes-aero effects pitch_rate_bias
     """
     from bayes_aero.flight.card import read_card
-    from bayes_aero.jobs.catalogue import effect_facts, effect_named, known_effects, write_effects_page
+    from bayes_aero.jobs.catalogue import effect_facts, effect_named, known_effects
 
     card = None if model is None else read_card(model)
     known = known_effects(card)
     chosen = known.values() if name is None else [effect_named(name, known)]
     found = [effect_facts(effect, card) for effect in chosen]
-    failures = () if out is None else write_effects_page(found, EFFECTS, card, out)
     if json:
         terminal.print_json({"schema": EFFECTS, "effects": found})
     elif name is None:
         print_table(found)
     else:
         print_effect(found[0])
-    if out is not None and not json:
-        terminal.print_failures(terminal.teller(), failures)
-        terminal.teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
-    terminal.exit_if_failed(failures)
 
 
 def print_table(found: Sequence[Mapping[str, Any]]) -> None:

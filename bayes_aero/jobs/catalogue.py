@@ -15,7 +15,7 @@ from bayes_aero.effect import Effect
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.jobs.store import picked, provenance, sha256_of, writable, write_json
+from bayes_aero.jobs.store import picked, provenance, sha256_of, write_json
 from bayes_aero.model.model import own_effects
 from bayes_aero.units import quantity_to_si
 
@@ -74,29 +74,6 @@ def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
         "source": effect.source,
         "model": None if card is None else effect.name in card.effects,
     }
-
-
-def write_effects_page(
-    found: Sequence[Mapping[str, Any]], schema: str, card: Card | None, out: Path
-) -> tuple[str, ...]:
-    """Write effects.json, report.html and its picture into `out`; a sentence on what of the page cannot be made."""
-    from bayes_aero.report.figures.prior import channels_needed
-    from bayes_aero.report.html.page import Gallery, Report, put_page
-    from bayes_aero.report.pages.check import effects_page, picture_words
-    from bayes_aero.report.style import save
-
-    writable(out)
-    write_json({"schema": schema, "effects": list(found)}, out / "effects.json")
-
-    def page() -> Report:
-        pictures = ()
-        if len(found) > 1:  # one effect by itself has none
-            (out / "figures").mkdir(exist_ok=True)
-            drawn = save(channels_needed(found), out / "figures" / "channels.png")
-            pictures = Gallery({"channels": drawn}, {"channels": picture_words(found)})("channels")
-        return effects_page(found, provenance(card, [], None, {}), None if card is None else card.title, pictures)
-
-    return put_page(page, out)
 
 
 # --- An effect file of the terms that a diagnosis found, for a card to name.

@@ -585,15 +585,6 @@ def plan(study: Study, out: Path) -> list[Planned]:
     return [Planned(u, f, state_of(u, f)) for u, f in zip(study.units, folders, strict=True)]
 
 
-def leftovers(study: Study, out: Path) -> list[str]:
-    """Folders of units that the study no longer has."""
-    folder = out / UNITS
-    names = {unit.name for unit in study.units}
-    if not folder.is_dir():
-        return []
-    return sorted(p.name for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".") and p.name not in names)
-
-
 def run_study(
     study: Study,
     out: Path,

@@ -21,7 +21,6 @@ from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
 from bayes_aero.diagnosis.trajectories import WINDOW
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight import reading
-from bayes_aero.flight.card import read_card
 from bayes_aero.inference.validation import SplitKind
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs import options
@@ -65,20 +64,6 @@ def test_the_catalogue_is_listed_and_explained(program):
     told = program("effects", "pitch_rate_bias").out
     holds(told, "rad/s", "Klein and Morelli", "0.054", "normal, mean 0, deviation 0.01")
     assert found["flow_separation"]["parameters"][0]["bounds"] == [1.0, 200.0]
-
-
-def test_the_catalogue_is_a_page_too(program, tmp_path):
-    succeeded(program("effects", "--model", "attas", "--out", "all"))
-    assert json.loads((tmp_path / "all" / "effects.json").read_text())["effects"][0]["name"] in CATALOGUE
-    html = page_of(tmp_path / "all")
-    assert all(f"<summary>{name}</summary>" in html for name in CATALOGUE)
-    assert "Klein and Morelli" in html
-    assert html.count("in the card&#39;s model</td>") == len(read_card("attas").effects)
-    assert (tmp_path / "all" / "figures" / "channels.png").stat().st_size > 5000
-    assert program("effects", "pitch_rate_bias", "--out", "one", "--json").code == 0
-    one = page_of(tmp_path / "one")
-    assert "Effect: pitch_rate_bias" in one
-    assert "flow_separation" not in one
 
 
 def test_an_interruption_says_what_is_kept(program, monkeypatch, flights):
