@@ -38,6 +38,8 @@ USUAL = (("m/s", "m"), ("kt", "ft"), ("ft/s", "ft"), ("km/h", "m"))  # units of 
 UNTOLD = 0.2  # logarithm of a ratio, within which short records cannot tell two pairs; our choice
 CLEAR = 0.9  # correlation from which noise lessens a slope by a fifth at most; our choice
 FRACTIONS = ("n1_left", "n1_right", "throttle", "throttle_left", "throttle_right")
+DEGREE = math.pi / 180.0
+ANGLES, RATES = {"rad": 1.0, "deg": DEGREE}, {"rad/s": 1.0, "deg/s": DEGREE}
 SPEEDS = {"m/s": 1.0, "kt": 0.514444, "km/h": 1.0 / 3.6, "ft/s": 0.3048}
 HEIGHTS = {"m": 1.0, "ft": 0.3048}
 SI = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
@@ -165,16 +167,20 @@ def smooth(x: np.ndarray) -> np.ndarray:
     return np.convolve(np.pad(x, 4, mode="edge"), np.full(9, 1.0 / 9.0), mode="valid")
 
 
-def slope_of(x: np.ndarray, y: np.ndarray, least: float = FOLLOWS) -> float | None:
-    """Least-squares slope of y over x, where one follows the other, upright or reversed; noise tells nothing."""
+def slope_of(x: np.ndarray, y: np.ndarray, least: float = FOLLOWS) -> float:
+    """Least-squares slope of y over x, where one follows the other, upright or reversed; else 0: noise tells nothing."""
     x, y = x - np.mean(x), y - np.mean(y)
     if min(np.ptp(x), np.ptp(y)) == 0.0 or not abs(np.corrcoef(x, y)[0, 1]) > least:
-        return None
+        return 0.0
     return float(x @ y) / float(x @ x)
 
 
-def nearest(ratio: float, sizes: Mapping[str, float]) -> str:
-    return min(sizes, key=lambda unit: abs(math.log(ratio * sizes[unit])))
+def choose(found: Guesses, guess: Guess, ratio: float, sizes: Mapping[str, float], what: str, **changes: Any) -> None:
+    """The unit, of these SI `sizes`, in which values are nearest to `what` tells; `ratio`: of the values to it in SI."""
+    if abs(ratio) > 1e-6:
+        unit = guess.unit or min(sizes, key=lambda unit: abs(math.log(abs(ratio) * sizes[unit])))
+        size = sizes.get(unit, 1.0)
+        state(found, guess, f"it is {ratio * size:.2g} times what {what} in {unit}", unit=unit, **changes)
 
 
 @step("time")
@@ -188,15 +194,13 @@ def unit_of_time(found: Guesses, time: Guess) -> None:
 @step("dt", "q", "theta")
 def angle_by_rate(found: Guesses, dt: float, rate: Guess, angle: Guess) -> None:
     """An attitude changes as its rate says, which tells their units apart; where neither is stated, if they differ."""
-    if angle.unit is not None:
-        return
-    slope, stated = slope_of(smooth(rate.si), np.gradient(smooth(angle.values)) / dt), rate.unit is not None
-    if slope is None or not (stated or abs(math.log(abs(slope))) > math.log(BETWEEN)):
-        return
-    unit, other = ("deg", "rad/s") if abs(slope) > BETWEEN else ("rad", "deg/s")
-    state(found, angle, f"it changes at {abs(slope):.2g} times {rate.channel}{' in rad/s' * stated}", unit=unit)
-    if not stated:
-        state(found, rate, f"{angle.channel} changes at {abs(slope):.2g} times it", unit=other)
+    slope = slope_of(smooth(rate.si), np.gradient(smooth(angle.values)) / dt) if angle.unit is None else 0.0
+    if rate.unit is not None:
+        choose(found, angle, slope, ANGLES, f"{rate.channel} makes")
+    elif slope and abs(math.log(abs(slope))) > math.log(BETWEEN):
+        choose(found, angle, slope, ANGLES, f"{rate.channel} makes")
+        unit = "rad/s" if abs(slope) > BETWEEN else "deg/s"
+        state(found, rate, f"{angle.channel} changes at {abs(slope):.2g} times it", unit=unit)
 
 
 @step("dt", "theta", "alpha", "airspeed", "altitude")
@@ -210,10 +214,8 @@ def angles_by_path(found: Guesses, dt: float, theta: Guess, alpha: Guess, speed:
     if len(missing) == 1:
         recorded, meant = (theta.values, alpha.si + path) if theta.unit is None else (alpha.values, theta.si - path)
     slope = slope_of(smooth(meant), smooth(recorded))
-    if slope is not None and slope > 0.0:
-        unit = "deg" if slope > BETWEEN else "rad"
-        for guess in missing:
-            state(found, guess, f"theta - alpha is the angle of the climb in {unit}", unit=unit)
+    for guess in missing:
+        choose(found, guess, max(slope, 0.0), ANGLES, "the climb makes of theta - alpha")
 
 
 @step()
@@ -238,12 +240,8 @@ def angles_by_size(found: Guesses) -> None:
 @step("dt", "q", "theta")
 def rate_by_angle(found: Guesses, dt: float, rate: Guess, angle: Guess) -> None:
     """Unit and sign of a rate from the attitude that it changes."""
-    slope = slope_of(smooth(rate.values), np.gradient(smooth(np.unwrap(angle.si))) / dt)
-    if slope is not None and abs(slope) > 1e-3:
-        unit = rate.unit or ("rad/s" if abs(slope) > 1.0 / BETWEEN else "deg/s")
-        ratio = slope / (1.0 if unit == "rad/s" else math.pi / 180.0)
-        why = f"{angle.channel} changes at {ratio:.2g} times it"
-        state(found, rate, why, unit=unit, sign=1 if slope > 0.0 else -1)
+    slope = slope_of(np.gradient(smooth(np.unwrap(angle.si))) / dt, smooth(rate.values))
+    choose(found, rate, slope, RATES, f"the change of {angle.channel} is", sign=1 if slope > 0.0 else -1)
 
 
 @step("dt", "r")
@@ -259,11 +257,8 @@ def yaw_rate(found: Guesses, dt: float, guess: Guess) -> None:
     if "airspeed" in found and "phi" in found:
         ways["bank"] = GRAVITY * np.sin(phi) * np.cos(theta) / np.maximum(found["airspeed"].values, 1.0)
     for of, turning in ways.items():
-        slope = slope_of(turning, smooth(guess.values))
-        if guess.unit is None and slope is not None and abs(slope) > 1e-3:
-            why = f"it is {abs(slope):.2g} times what the {of} makes in rad/s"
-            state(found, guess, why, unit="deg/s" if abs(slope) > BETWEEN else "rad/s")
-            return
+        if found["r"].unit is None:
+            choose(found, guess, slope_of(turning, smooth(guess.values)), RATES, f"the {of} makes")
 
 
 @step()
@@ -291,23 +286,23 @@ def other_rates(found: Guesses) -> None:
 @step("dt", "beta_dot", "beta")
 def unit_of_derivative(found: Guesses, dt: float, guess: Guess, of: Guess) -> None:
     """An angular acceleration, or the rate of an angle, from what it changes."""
-    slope = slope_of(smooth(guess.values), np.gradient(smooth(of.si)) / dt, 0.0)
-    if guess.unit is None and slope is not None and slope > 1e-3:
-        radians, unit = slope > 1.0 / BETWEEN, SI[guess.channel]
-        ratio = slope / (1.0 if radians else math.pi / 180.0)
-        why = f"{of.channel} changes at {ratio:.2g} times it"
-        state(found, guess, why, unit=unit if radians else unit.replace("rad", "deg"))
+    slope = slope_of(np.gradient(smooth(of.si)) / dt, smooth(guess.values), 0.0)
+    if guess.unit is None and slope > 0.0:
+        unit = SI[guess.channel]
+        choose(found, guess, slope, {unit: 1.0, unit.replace("rad", "deg"): DEGREE}, f"the change of {of.channel} is")
+
+
+@step("az")
+def vertical_acceleration(found: Guesses, az: Guess) -> None:
+    """Level flight shows gravity: 1, 9.8 or 32 tells the unit, its sign the direction."""
+    level = float(np.median(az.values)) / -GRAVITY
+    sizes = {"g": GRAVITY, "m/s^2": 1.0, "ft/s^2": 0.3048}
+    choose(found, az, level, sizes, "level flight has", sign=-1 if level < 0.0 else 1)
 
 
 @step()
-def accelerations_by_gravity(found: Guesses) -> None:
-    """Level flight shows gravity: 1, 9.8 or 32 tells the unit of all three, its sign the direction of az."""
-    az, unit = found.get("az"), None
-    level = 0.0 if az is None else float(np.median(az.values))
-    if az is not None and level:
-        unit = az.unit or nearest(abs(level), {"g": 1.0, "m/s^2": 1.0 / GRAVITY, "ft/s^2": 0.3048 / GRAVITY})
-        why = f"its median is {level:.3g}, and level flight has -1 g"
-        state(found, az, why, unit=unit, sign=-1 if level > 0.0 else 1)
+def other_accelerations(found: Guesses) -> None:
+    unit = found["az"].unit if "az" in found else None
     for guess in (found[name] for name in ("ax", "ay") if name in found):
         if guess.unit is None:
             state(found, guess, "as az" if unit else "no az to compare it with", unit=unit or "m/s^2")
@@ -321,26 +316,25 @@ def speed_and_height(found: Guesses, dt: float, speed: Guess, height: Guess, the
     the airspeed at which the path turns decides, where it can be told; of pairs that fit alike, the usual one is.
     """
     path, climb = theta.si - alpha.si, np.gradient(smooth(height.values)) / dt
-    slope = slope_of(speed.values * np.sin(smooth(path)), climb, 0.0) if np.std(path) > 0.01 else None
+    slope = slope_of(speed.values * np.sin(smooth(path)), climb, 0.0) if np.std(path) > 0.01 else 0.0
     every = dict.fromkeys((*USUAL, *((v, h) for v in SPEEDS for h in HEIGHTS)))
     pairs = [(v, h) for v, h in every if speed.unit in (None, v) and height.unit in (None, h)]
-    if slope is None or slope <= 0.0 or not pairs:
+    if slope <= 0.0 or not pairs:
         return
     # Where the path turns, az + g cos(theta) = V (d alpha/dt - q), for small angles and level wings.
-    turning, middle = None, float(np.median(speed.values))
+    turning, middle = 0.0, float(np.median(speed.values))
     if "az" in found and "q" in found and middle > 0.0:
         turn = np.gradient(smooth(alpha.si)) / dt - smooth(found["q"].si)
         turning = slope_of(turn, smooth(found["az"].si) + GRAVITY * np.cos(smooth(theta.si)), CLEAR)
-    turning = turning if turning and turning > 0.0 else None
 
     def misfit(pair: tuple[str, str]) -> float:
         v, h = SPEEDS[pair[0]], HEIGHTS[pair[1]]
-        return abs(math.log(slope * h / v)) + (0.0 if turning is None else abs(math.log(middle * v / turning)))
+        return abs(math.log(slope * h / v)) + (abs(math.log(middle * v / turning)) if turning > 0.0 else 0.0)
 
     v, h = next(pair for pair in pairs if misfit(pair) < min(map(misfit, pairs)) + UNTOLD)
     ratio = slope * HEIGHTS[h] / SPEEDS[v]
     why = f"height changes at {ratio:.2g} times airspeed x sin(theta - alpha) in {v} and {h}"
-    why += "" if turning is None else f", and az and q say {turning / SPEEDS[v]:.2g} {v}"
+    why += "" if turning <= 0.0 else f", and az and q say {turning / SPEEDS[v]:.2g} {v}"
     state(found, speed, why, unit=v)
     state(found, height, why, unit=h)
 
@@ -355,14 +349,13 @@ def other_speeds(found: Guesses) -> None:
 @step("density")
 def density_of_air(found: Guesses, guess: Guess) -> None:
     """Unit in which it is that of a standard atmosphere at the altitude, else that of some air."""
-    height, middle = found.get("altitude"), float(np.median(guess.values))
+    height = found.get("altitude")
     rho = MIDDLING if height is None else float(np.median(standard_air(height.si)[0]))
-    ratio = middle / max(rho, 1e-3)
+    units = ["kg/m^3", "slug/ft^3", "lb/ft^3", "g/m^3", *(["g/cm^3"] if height is not None else [])]
+    sizes = {u: float(to_si(1.0, u, "density", "kg/m^3")) for u in units}  # two of them are a factor 2 apart
+    ratio = float(np.median(guess.values)) / max(rho, 1e-3)
     if guess.unit is None and ratio > 0.0:
-        units = ["kg/m^3", "slug/ft^3", "lb/ft^3", "g/m^3", *(["g/cm^3"] if height is not None else [])]
-        sizes = {u: float(to_si(1.0, u, "density", "kg/m^3")) for u in units}  # two of them are a factor 2 apart
-        unit = nearest(ratio, sizes)
-        state(found, guess, f"it is {ratio * sizes[unit]:.2g} times that of air in {unit}", unit=unit)
+        choose(found, guess, ratio, sizes, "air has")
 
 
 @step("dynamic_pressure", "airspeed")
@@ -373,9 +366,7 @@ def dynamic_pressure(found: Guesses, guess: Guess, speed: Guess) -> None:
     ratio = float(np.median(guess.values)) / (0.5 * rho * float(np.median(speed.si)) ** 2 or 1.0)
     if guess.unit is None and ratio > 0.0:
         sizes = {u: float(to_si(1.0, u, "dynamic_pressure", "Pa")) for u in ("Pa", "hPa", "kPa", "lbf/ft^2", "psi")}
-        unit = nearest(ratio, sizes)
-        why = f"it is {ratio * sizes[unit]:.2g} times half of density times airspeed squared in {unit}"
-        state(found, guess, why, unit=unit)
+        choose(found, guess, ratio, sizes, "density and airspeed make")
 
 
 @step()
@@ -408,6 +399,6 @@ def sign_of_elevator(found: Guesses, dt: float, elevator: Guess, q: Guess, alpha
     both = np.stack([smooth(elevator.si), np.gradient(rate) / dt], axis=1)
     moved, turning = (both - others @ np.linalg.lstsq(others, both, rcond=None)[0]).T
     slope = slope_of(moved, turning, FAINT)  # 1/s^2 a rad
-    if slope is not None:
+    if slope:
         why = f"pitch acceleration follows it with {slope:+.2g} 1/s^2 a rad; trailing edge down positive has a minus"
         state(found, elevator, why, sign=-1 if slope > 0.0 else 1)
