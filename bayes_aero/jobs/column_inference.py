@@ -168,7 +168,7 @@ def smooth(x: np.ndarray) -> np.ndarray:
 
 
 def slope_of(x: np.ndarray, y: np.ndarray, least: float = FOLLOWS) -> float:
-    """Least-squares slope of y over x, where one follows the other, upright or reversed; else 0: noise tells nothing."""
+    """Least-squares slope of y over x, where one follows the other, upright or reversed; 0 where noise rules."""
     x, y = x - np.mean(x), y - np.mean(y)
     if min(np.ptp(x), np.ptp(y)) == 0.0 or not abs(np.corrcoef(x, y)[0, 1]) > least:
         return 0.0
@@ -176,7 +176,7 @@ def slope_of(x: np.ndarray, y: np.ndarray, least: float = FOLLOWS) -> float:
 
 
 def choose(found: Guesses, guess: Guess, ratio: float, sizes: Mapping[str, float], what: str, **changes: Any) -> None:
-    """The unit, of these SI `sizes`, in which values are nearest to `what` tells; `ratio`: of the values to it in SI."""
+    """The unit, of these SI `sizes`, in which values are as `what` says; `ratio`: of the values to that, in SI."""
     if abs(ratio) > 1e-6:
         unit = guess.unit or min(sizes, key=lambda unit: abs(math.log(abs(ratio) * sizes[unit])))
         size = sizes.get(unit, 1.0)
