@@ -120,12 +120,14 @@ class ExplorePage:
             self.exchange.update(told=json.dumps({"id": number, "error": told}))
 
     def answer(self, asked: Asked) -> None:
-        begin = clock.perf_counter()
+        began = clock.perf_counter()
         choice = self._choice(asked)
         before = self.simulator.result(asked.manoeuvre)
         now = before if choice == Choice() else self.simulator.fly(asked.manoeuvre, choice)
         time = self.simulator.time(asked.manoeuvre)
-        window = window_of(time, asked.window)
+        begin, end = asked.window or (-np.inf, np.inf)
+        window = (time >= begin) & (time <= end)
+        window = window if window.sum() > 1 else np.ones(len(time), bool)
         self._draw(asked, time, window, before, now)
         said, exported, failed = "", "", ""
         try:
@@ -147,7 +149,7 @@ class ExplorePage:
             "exported": exported,
             "fan": self.fanned is not None,
             "error": failed,
-            "seconds": clock.perf_counter() - begin,
+            "seconds": clock.perf_counter() - began,
         }
         self.exchange.update(told=json.dumps(told))
 
@@ -405,12 +407,6 @@ def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
             f.xaxis.axis_label = "time of the record [s]"
             f.min_height = LEAST + AXIS
     return column([view.figure for view in views], sizing_mode="stretch_both", spacing=0, name=name)
-
-
-def window_of(time: Curve, window: tuple[float, float] | None) -> Bool[np.ndarray, " n"]:
-    """Samples in a window of time, s; all, where there is none or it has fewer than two."""
-    inside = np.zeros(0, bool) if window is None else (time >= window[0]) & (time <= window[1])
-    return inside if inside.sum() > 1 else np.ones(len(time), bool)
 
 
 # --- The server of the page: this machine alone, nothing from a network.

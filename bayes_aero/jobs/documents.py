@@ -14,9 +14,10 @@ from msgspec import UnsetType as Unset
 from msgspec.json import schema
 from msgspec.structs import fields
 
-from bayes_aero.diagnosis.result import CancellingPair, CausesInBand, SizeInBand
+from bayes_aero.diagnosis.result import CancellingPair, CausesInBand, Disagreement, SizeInBand
 from bayes_aero.flight.health import Consistency, Departure, HealthFinding
 from bayes_aero.inference.results import Share as InsideShare
+from bayes_aero.qualification.result import OpenTolerance, Outside
 
 Number = float | None
 Size = Annotated[float, Meta(ge=0)]
@@ -454,26 +455,6 @@ class TestPart(Part):
     recorded: BesidePart | None = field(name="record")
 
 
-class OutsidePart(Part):
-    manoeuvre: str
-    motion: Literal["recorded", "simulated"]
-    channels: list[str]
-    share: float  # of the samples that are farther outside than 0.1
-    distance: float  # of the farthest sample, in half the flown range of each channel
-    time: float  # of that sample, s from the start
-    excess: dict[str, float]  # by channel, from the nearest point of the region to that sample
-
-
-class UndecidedTest(Part):
-    """An undecided test: the probability to pass now, and if the parameters were known exactly."""
-
-    kind: FlightWord
-    manoeuvre: str
-    output: str
-    present: Fraction
-    known: Fraction
-
-
 class FurtherPoint(PointPart):
     expected: list[float] = field(name="probabilities")  # of each test, expected with this point and those before it
     rate: float = field(name="nats_per_second")
@@ -482,7 +463,7 @@ class FurtherPoint(PointPart):
 class FurtherPart(Part):
     """Test points that would decide undecided tests, in the order of flying; null if none is undecided."""
 
-    tests: list[UndecidedTest]
+    tests: list[OpenTolerance]
     points: list[FurtherPoint]
     refused: dict[str, str]
     why_not: str
@@ -501,7 +482,7 @@ class QualificationDocument(Part):
     tests: list[TestPart]
     # channels of the flown region, the convex hull of all fitted samples, and those that were not recorded
     flown_region: Annotated[dict[Literal["channels", "not_recorded"], list[str]], TWO]
-    outside: list[OutsidePart]
+    outside: list[Outside]
     further: FurtherPart | None
     origins: dict[str, str]  # where parameters, structure, next flight and gusts come from
     health: Health
@@ -897,17 +878,6 @@ class InitialState(Part):
     prior_sd: Number  # standard deviation of the prior of the departure; null where it has none or is fixed
 
 
-class DisagreementPart(Part):
-    """A parameter for which the coefficients of the same record, fitted as by identify, give another value: estimate
-    and corrected standard error of each."""
-
-    name: str
-    unit: str
-    coefficients: Pair
-    trajectories: Pair
-    apart: Number  # in combined standard errors
-
-
 class PredictedPart(Part):
     """One-step predictions of all outputs together."""
 
@@ -1013,7 +983,7 @@ class TrajectoriesDocument(Part, kw_only=True):
     parameters: dict[str, FittedParameter]
     covariance: Matrix  # of the estimates in the order of parameters, corrected for coloured residuals, priors counted
     inseparable: list[InseparablePart]
-    disagreement: list[DisagreementPart]
+    disagreement: list[Disagreement]
     process_noise: ProcessNoisePart | Unset = UNSET
     posterior: FlownPosterior | Unset = UNSET
     frequency: list[FrequencyPart] | Unset = UNSET  # equation error and output error of a linear card

@@ -153,30 +153,26 @@ def read_finished(
 
 
 def read_identified(given: str, card: str | None = None) -> tuple[Identified, FinishedResult | None]:
-    """The model of effects of a folder of results, of a result file, or (without a result) of a card."""
-    if result_file(given) is None:
-        return model_of_card(read_card(given)), None
-    result = read_finished(given, card)
-    if isinstance(result.identified, IdentifiedLinear):
+    """The model of effects of a folder of results, of a result file, or (without a result) of a card at its values."""
+    if result_file(given) is not None:
+        result = read_finished(given, card)
+        if isinstance(result.identified, IdentifiedLinear):
+            raise InputError(
+                f"card {result.identified.name} states a linear system, which has no coefficients to export; use a "
+                "result of a card with [model]"
+            )
+        return result.identified, result
+    stated = read_card(given)
+    model = Model.from_card(stated)
+    values = {name: change.start for name, change in stated.changes.items() if change.start is not None}
+    values |= dict(model.fixed)
+    if missing := [p.name for p in model.parameters if p.name not in values]:
         raise InputError(
-            f"card {result.identified.name} states a linear system, which has no coefficients to export; use a result "
-            "of a card with [model]"
+            f"card {stated.name} states no value of {', '.join(missing)}; give a result of identify, fly or diagnose, "
+            f"or state start under [parameters.{missing[0]}]"
         )
-    return result.identified, result
-
-
-def model_of_card(card: Card) -> Identified:
-    model = Model.from_card(card)
-    stated = {name: change.start for name, change in card.changes.items() if change.start is not None}
-    values = stated | dict(model.fixed)
-    missing = [p.name for p in model.parameters if p.name not in values]
-    if missing:
-        raise InputError(
-            f"card {card.name} states no value of {', '.join(missing)}; give a result of identify, fly or diagnose, or "
-            f"state start under [parameters.{missing[0]}]"
-        )
-    sources = (f"Values: as card {card.name} states them ({card.source}); sha256 {card.sha256[:16]}.",)
-    return Identified(card.name, card.title, model, card.aircraft, values, sources)
+    source = f"Values: as card {stated.name} states them ({stated.source}); sha256 {stated.sha256[:16]}."
+    return Identified(stated.name, stated.title, model, stated.aircraft, values, (source,)), None
 
 
 def model_of_result(told: Mapping[str, Any], file: Path, card: Card) -> Finished:
@@ -439,7 +435,11 @@ def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
         part.mkdir(parents=True)
         facts = export_facts(found, form, FORMS[form](found, part))
         write_json(facts, part / "export.json")
-        write_whole(wrapped((*about(found), *use_of(found, form)), WIDTH) + "\n", part / "README.txt")
+        use = [USE[form].format(name=found.name)]
+        if form == "jsbsim":
+            table = [f"{n}: {PROPERTIES[n][0]}" for n in found.program.inputs_of("signal") if n in PROPERTIES]
+            use.append(f"Read from JSBSim: {'; '.join(table)}.")
+        write_whole(wrapped((*about(found), *use), WIDTH) + "\n", part / "README.txt")
         if found.draws is not None:
             frame = pd.DataFrame(found.draws.values, columns=list(found.draws.names))
             write_whole(frame.to_csv(index=False), part / "draws.csv")
@@ -496,21 +496,12 @@ def export_facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[s
     }
 
 
-JSBSIM = (
-    "This folder is a root directory of JSBSim with the aircraft {name}. For your own aircraft take the files of "
-    "aerodynamics and of the system, put the system before the aerodynamics, and set AERORP to the aerodynamic "
-    "reference point. The system declares what JSBSim does not have, bayes-aero/input/..."
-)
-USE = {
+USE = {  # how the files of a form are used
+    "jsbsim": "This folder is a root directory of JSBSim with the aircraft {name}. For your own aircraft take the "
+    "files of aerodynamics and of the system, put the system before the aerodynamics, and set AERORP to the aerodynamic "
+    "reference point. The system declares what JSBSim does not have, bayes-aero/input/...",
     "fmu": "FMI 2.0, co-simulation; it runs where Python runs. The time step solves the separation lag exactly.",
     "tables": "A coefficient is the sum of its tables, each interpolated linearly; interpolation_error is the sum of "
     "the largest errors along the axes. X is an axis: take the incidence from its tables, the static X from X_static, "
     "and X through its lag where there is one.",
 }
-
-
-def use_of(found: Identified, form: str) -> tuple[str, ...]:
-    if form != "jsbsim":
-        return (USE[form],)
-    table = [f"{n}: {PROPERTIES[n][0]}" for n in found.program.inputs_of("signal") if n in PROPERTIES]
-    return JSBSIM.format(name=found.name), f"Read from JSBSim: {'; '.join(table)}."

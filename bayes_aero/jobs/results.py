@@ -356,6 +356,11 @@ def fly_results(
 ) -> parts.TrajectoriesDocument:
     flown, fit = found.flown, found.flown.fit
     setting, beliefs = flown.setting, flown.departure_sd
+    of = "process noise" if found.motion and found.motion.filtered else "output error"
+    modes = [
+        parts.ModePart.of(mode, eigenvalue=(mode.eigenvalue.real, mode.eigenvalue.imag), **mode.quantities)
+        for mode in (found.motion.modes if found.motion else ())
+    ]
     return parts.TrajectoriesDocument.of(
         flown,
         card=card,
@@ -375,7 +380,7 @@ def fly_results(
         process_noise=found.process_noise or UNSET,
         posterior=_sampled(parts.FlownPosterior, found.posteriors, **dict.fromkeys(SAMPLERS, UNSET)),
         frequency=[frequency_part(fit) for fit in flown.frequency] or UNSET,
-        motion=motion_part(found.motion) if found.motion else UNSET,
+        motion=parts.MotionPart.of(found.motion, modes=modes, estimates=of) if found.motion else UNSET,
         initial_states={
             manoeuvre: {n: parts.InitialState(*x, flown.units.get(n, "1"), beliefs.get(n)) for n, x in states.items()}
             for manoeuvre, states in flown.initial.items()
@@ -386,14 +391,6 @@ def fly_results(
         **picked(found, "health", "notes", "failures"),
         provenance=source,
     )
-
-
-def motion_part(found: Motion) -> parts.MotionPart:
-    modes = [
-        parts.ModePart.of(mode, eigenvalue=(mode.eigenvalue.real, mode.eigenvalue.imag), **mode.quantities)
-        for mode in found.modes
-    ]
-    return parts.MotionPart.of(found, estimates="process noise" if found.filtered else "output error", modes=modes)
 
 
 # --- histories.nc: the time histories behind the numbers of a run, to be laid over those of another tool. SI, radians.
