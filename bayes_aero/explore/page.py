@@ -205,7 +205,7 @@ class ExplorePage:
         paths = scores(self.simulator.recorded(manoeuvre), before.simulated, now.simulated, window, self.tolerances)
         errors = [{name: x - flown.coefficients[name] for name, x in flown.formed.items()} for flown in (before, now)]
         still = {name: np.zeros_like(y) for name, y in errors[1].items()}
-        rows = [*paths, *scores(still, *errors, window, {})]
+        rows = [*paths, *scores(still, errors[0], errors[1], window, {})]
         for row in rows:
             si = self.units.get(row["name"], "1")
             unit, factor = for_people(si)
@@ -275,10 +275,8 @@ def scores(
         old, new = (np.abs(recorded[name] - x)[window] for x in (before[name], y))
         band = tolerances.get(name)
         rms = {"before": _rms(old), "now": _rms(new)}
-        within = dict.fromkeys(("within_before", "within"))
-        if band is not None:
-            within = {"within_before": float(np.mean(old <= band)), "within": float(np.mean(new <= band))}
-        yield {"name": name, **rms, **within}
+        shares = (None, None) if band is None else (float(np.mean(old <= band)), float(np.mean(new <= band)))
+        yield {"name": name, **rms, "within_before": shares[0], "within": shares[1]}
 
 
 def gain(errors: Iterable[tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]], inflation: float) -> float:

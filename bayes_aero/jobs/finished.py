@@ -498,8 +498,8 @@ def export_facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[s
 
 USE = {  # how the files of a form are used
     "jsbsim": "This folder is a root directory of JSBSim with the aircraft {name}. For your own aircraft take the "
-    "files of aerodynamics and of the system, put the system before the aerodynamics, and set AERORP to the aerodynamic "
-    "reference point. The system declares what JSBSim does not have, bayes-aero/input/...",
+    "files of aerodynamics and of the system, put the system before the aerodynamics, and set AERORP to the "
+    "aerodynamic reference point. The system declares what JSBSim does not have, bayes-aero/input/...",
     "fmu": "FMI 2.0, co-simulation; it runs where Python runs. The time step solves the separation lag exactly.",
     "tables": "A coefficient is the sum of its tables, each interpolated linearly; interpolation_error is the sum of "
     "the largest errors along the axes. X is an axis: take the incidence from its tables, the static X from X_static, "

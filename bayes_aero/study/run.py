@@ -322,8 +322,9 @@ def state_of(unit: Unit, folder: Path) -> CaseState:
     words = []
     for key, now in fingerprint(unit).items():
         if now != (before := made_from.get(key)):
-            both = isinstance(now, dict) and isinstance(before, dict)
-            names = sorted(n for n in {*now, *before} if now.get(n) != before.get(n)) if both else []
+            names: list[str] = []
+            if isinstance(now, dict) and isinstance(before, dict):
+                names = sorted(n for n in {*now, *before} if now.get(n) != before.get(n))
             words.append(f"{key} {', '.join(names)}".strip().replace("_", " "))
     if words:
         return CaseState("changed", "; ".join(words))
