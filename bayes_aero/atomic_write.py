@@ -16,13 +16,8 @@ PART = "part"
 
 
 def write_whole(content: bytes | memoryview | str, path: Path, *, flush: bool = False) -> Path:
-    """Write a file whole or not at all.
-
-    Libraries are given memory to write to, and this writes their bytes: on a full disk some of them (HDF5) crash.
-
-    Raises:
-        OSError: with the file's name. An older file of this name is as it was.
-    """
+    """Write a file whole or not at all. Libraries are given memory to write to, and this writes their bytes: on a full
+    disk some of them (HDF5) crash. `OSError` has the file's name; an older file of this name is as it was."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.{PART}")
     try:
         partial.write_bytes(content.encode() if isinstance(content, str) else content)

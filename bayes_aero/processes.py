@@ -55,10 +55,8 @@ SECONDS = "0.2"  # s of compilation: half of a command's, in a tenth of the file
 
 
 def cache_folder() -> Path:
-    """Folder of compiled programs: JAX's variable, else BAYES_AERO_CACHE, else the user's cache folder.
-
-    The latter two have one for each kind of processor: a program compiled for one may not run on another.
-    """
+    """Folder of compiled programs: JAX's variable, else in BAYES_AERO_CACHE or the user's cache folder one for each
+    kind of processor, because a program compiled for one may not run on another."""
     if given := os.environ.get(FOLDER):
         return Path(given)
     root = Path(os.environ.get(CACHE) or platformdirs.user_cache_path("bayes_aero"))

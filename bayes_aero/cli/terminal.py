@@ -86,10 +86,8 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
 
 @contextmanager
 def bar(first: str, over: float = 30.0) -> Iterator[Progress]:
-    """A bar with the time left on the terminal, silence elsewhere; tell it a stage and the share of it that is done.
-
-    Both times are the stage's; what is left is estimated from the last `over` seconds.
-    """
+    """A bar with the stage, its time and what is left by the last `over` seconds; silence where there is no
+    terminal."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with ProgressBar(
@@ -177,13 +175,9 @@ def conclude(
     failed: bool = False,
     doubtful: bool = False,
 ) -> None:
-    """Show what a job on records has found, faulty channels and disagreeing sensors first, and leave with its code.
-
-    `found` has `health`, `consistency` and, where they are not given, `failures`; `show` prints all else; `json` is the
-    file to print on stdout instead. `corrects`: the command takes known errors of sensors out by itself; `compared`:
-    the sensors were, else the fit answers whether they agree; `failed`: the result is of no use; `doubtful`: it is in
-    doubt whatever the records are.
-    """
+    """Show what a job has found, faulty channels and disagreeing sensors first (or the file `json`), and leave with its
+    code. `corrects`: it takes known errors of sensors out; `compared`: the sensors were; `failed`: the result is of no
+    use; `doubtful`: it is in doubt whatever the records are."""
     from bayes_aero.report.pages.parts import consistency_sentences
 
     failed_parts: Sequence[str] = found.failures if failures is None else failures

@@ -59,10 +59,7 @@ def record_checks(
     **known: Any,
 ) -> RecordChecks:
     """Check records, whichever command reads them; should the comparison of sensors fail, the job goes on without.
-
-    `left_out`: why the sensors are not compared, empty where they are; `known`: what `consistency` is told of errors of
-    sensors, those that a search has found (`known`) and whether to look for them (`seek`).
-    """
+    `left_out`: why they are not compared, if so; `known`: arguments of `consistency` on errors of sensors."""
     if progress:
         progress("do the sensors agree?", 0.0)
     agreement, failures = attempted(
@@ -92,10 +89,7 @@ DERIVED = ("alpha_dot",)  # formed from recorded channels
 
 
 def usable_for(records: Sequence[FlightRecord], card: Card) -> dict[str, str]:
-    """Why each command cannot use the records with the card, by command; empty where it can.
-
-    A command that the card does not serve is left out.
-    """
+    """Why each command that the card serves cannot use the records, by command; empty where it can."""
     have = available(records, card)
     if card.linear is not None:
         return {"fly": _lacks([n for n in (*card.linear.states, *card.linear.inputs) if n not in have])}

@@ -220,10 +220,8 @@ def angles_by_path(found: Guesses, dt: float, theta: Guess, alpha: Guess, speed:
 
 @step()
 def angles_by_size(found: Guesses) -> None:
-    """Beyond 1.6 it can only be degrees, a heading or bank beyond a turn; smaller ones go with the rest of the file.
-
-    A heading comes from another instrument: it tells of the others only where they are large, too.
-    """
+    """Beyond 1.6 it can only be degrees, a heading or bank beyond a turn; smaller ones go with the rest of the file, of
+    which a heading, from another instrument, tells only where others are large, too."""
     angles = {name: g for name, g in found.items() if SI.get(name) == "rad"}
     missing = {name: largest(g) for name, g in angles.items() if g.unit is None}
     large = [n for n, size in missing.items() if size > (TURN if n in TURNING else ANGLE)]
@@ -310,11 +308,8 @@ def other_accelerations(found: Guesses) -> None:
 
 @step("dt", "airspeed", "altitude", "theta", "alpha")
 def speed_and_height(found: Guesses, dt: float, speed: Guess, height: Guess, theta: Guess, alpha: Guess) -> None:
-    """The climb: height changes by airspeed times the sine of the path angle, which tells the two units together.
-
-    Pairs as km/h with ft and m/s with m differ there by 9 per cent only, and ft/s with ft from m/s with m by nothing:
-    the airspeed at which the path turns decides, where it can be told; of pairs that fit alike, the usual one is.
-    """
+    """Height changes by airspeed times the sine of the path angle, which tells the two units together. Of pairs that
+    are alike there, the airspeed at which the path turns decides, where it can be told; else the usual one is taken."""
     path, climb = theta.si - alpha.si, np.gradient(smooth(height.values)) / dt
     slope = slope_of(speed.values * np.sin(smooth(path)), climb, 0.0) if np.std(path) > 0.01 else 0.0
     every = dict.fromkeys((*USUAL, *((v, h) for v in SPEEDS for h in HEIGHTS)))

@@ -88,10 +88,8 @@ def diagnose_records(
     hidden: Hidden | None = None,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Diagnose, as `bayes-aero diagnose` does, by coefficients or, where an accelerometer is missing, by trajectories.
-
-    A stage that fails is left out, and the reason is a note. `hidden` is what simulated records hide.
-    """
+    """Diagnose, as `bayes-aero diagnose` does; `hidden` is what simulated records hide. A stage that fails is a
+    note."""
     card, left_out = on_recorded_axes(card, records)
     if out is not None:
         writable(out)
@@ -204,10 +202,7 @@ class ResultStore(Growing[Outcome]):
 def follow(
     kept: ResultStore, test_points: bool, figures: ViewFigures, tell: Progress, envelope: Envelope
 ) -> dict[str, Path]:
-    """All that needs no trajectories, kept piece by piece; stalls and figures only where there is a folder for them.
-
-    Returns the figures drawn, by name.
-    """
+    """All that needs no trajectories, kept piece by piece; returns the figures drawn, by name."""
     found, attempt = kept.result.diagnosis, partial(kept.attempt, bad="{}: {}")
     if test_points:
         what = "Test points that would decide what is open were not chosen"
@@ -301,11 +296,8 @@ Result = TypeVar("Result")
 def in_background(
     job: Callable[[Progress], Result], progress: Progress | None = None
 ) -> Iterator[Callable[[], Result]]:
-    """Run `job` in a thread of its own while the block lasts; what it yields waits for its result.
-
-    The job is handed a function to be told where it is, which is shown while it is waited for. There it ends if the
-    block fails: Ctrl-C does not wait for its whole length.
-    """
+    """Run `job` in a thread of its own while the block lasts; what it yields waits for its result. Where the job is, is
+    shown while it is waited for, and there it ends if the block fails: Ctrl-C does not wait for its whole length."""
     stopped, waited = Event(), Event()
 
     def tell(text: str, share: float) -> None:

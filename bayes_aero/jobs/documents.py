@@ -53,9 +53,7 @@ class Part(Struct, forbid_unknown_fields=True):
     @classmethod
     def of(cls, found: Any = None, **more: Any) -> Any:
         """The part with what `found` has under the names of the fields, or `more` instead; a tuple is in their order.
-
-        Objects and tuples below become the parts that the fields name; a mapping stays as it is.
-        """
+        Objects and tuples below become the parts that the fields name; a mapping stays as it is."""
         if isinstance(found, tuple):
             more = dict(zip(cls.__struct_fields__, found, strict=True))
         values = {}

@@ -42,12 +42,8 @@ def fitted_records(
     files: Sequence[Path] = (),
     folders: Sequence[Path] = (),
 ) -> list[FlightRecord]:
-    """The records with which a result was made, in their order and read as they were.
-
-    They are looked for in `files`, whatever their names, then by their names in `folders`, then at the paths that the
-    result states, from the working directory, the result's folder and the one above it. `remedy`: what to do where one
-    is not found, e.g. "give it with --fitted".
-    """
+    """The records of a result as they were read, from `files` whatever their names, by their names from `folders`, or
+    from the paths that the result states, beside it or here. `remedy`: what to do where one is not found."""
     found = []
     for row in provenance["inputs"]:
         if row.get("read") is None or "content" not in row:
@@ -138,11 +134,8 @@ def as_written(file: Path) -> Iterator[None]:
 def read_finished(
     given: str, card: str | None = None, no_card: str = "; give the folder of a result of identify, fly or diagnose"
 ) -> FinishedResult:
-    """The result in a folder or file; its model may be a linear system. A card is refused with `no_card`.
-
-    `card`: that of the result, where it is not found by itself. `InputError` where the fit did not converge or has no
-    value of all.
-    """
+    """The result in a folder or file, with the `card` of the user if it is not found; a card is refused with
+    `no_card`."""
     file = result_file(given)
     if file is None:
         raise InputError(f"{given} is a card{no_card}")
@@ -274,11 +267,8 @@ def no_draws(name: str) -> InputError:
 
 
 def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) -> Draws:
-    """`count` draws of the parameters `wanted` that were fitted.
-
-    A posterior that converged comes first; else estimates and covariance, corrected for coloured residuals, give a
-    normal distribution, of which draws beyond a parameter's bounds are left out.
-    """
+    """`count` draws of the parameters `wanted`: of a posterior that converged, else normal about the estimates with the
+    covariance corrected for coloured residuals, within the bounds."""
     if not 1 <= count <= MOST_DRAWS:
         raise InputError(f"--draws is {count}; give a number from 1 to {MOST_DRAWS}")
     rng, told, found = np.random.default_rng(seed), result.told, result.identified
@@ -327,11 +317,8 @@ def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) 
 
 
 def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> Card:
-    """The card with which a result was made, and its effect files as they were.
-
-    `given`: a card named by the user; None: the shipped card of that name, the path that the result states, or a file
-    of that name beside the result or in the working directory.
-    """
+    """The card with which a result was made, and its effect files as they were: `given` by the user, the shipped one of
+    that name, at the path that the result states, or a file of that name beside the result or here."""
     name, sha256 = provenance["card"]["name"], provenance["card"]["sha256"]
     if given is not None:
         card = read_card(given)
@@ -408,11 +395,8 @@ WIDTH = 100
 def export(
     given: str, form: str, *, out: Path | None = None, card: str | None = None, draws: int = 0, seed: int = 0
 ) -> tuple[Path, dict[str, Any]]:
-    """Write the model of a result, or of a card that states all values, as `form`, one of `FORMS`, with `draws`.
-
-    `out`: the folder to make; default NAME_FORM in the working directory. `card`: that of the result, where it is not
-    found by itself. Returns the folder, and what export.json says.
-    """
+    """Write the model of a result, or of a card that states all values, as `form`, one of `FORMS`, into the new folder
+    `out` (default NAME_FORM), with `draws`. Returns the folder, and what export.json says."""
     if form not in FORMS:
         raise InputError(f"there is no form {form!r} to export to; give one of {', '.join(FORMS)}")
     found, result = read_identified(given, card)

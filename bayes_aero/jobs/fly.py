@@ -241,10 +241,8 @@ def output_error_fit(
     options: FlyOptions,
     progress: Progress | None,
 ) -> TrajectoryFit:
-    """The card's model fitted to the trajectories, and in a band, as the options say.
-
-    It starts from what the fit of the coefficients has found, too: a trajectory has optima far from the flight.
-    """
+    """The card's model fitted to the trajectories, and in a band, from its first values and from those of the
+    coefficients: a trajectory has optima far from the flight."""
     starts = []
     if coefficients is not None:
         near = dict(zip(coefficients.names, coefficients.estimate, strict=True))
@@ -274,10 +272,8 @@ def output_error_fit(
 def flown_dynamics(
     records: Sequence[FlightRecord], card: Card, outputs: Sequence[str], *, path: bool
 ) -> tuple[Flights, Dynamics, list[str]]:
-    """The records end to end without spikes, what flies them, and what to say of it.
-
-    `path`: the recorded accelerations and rates fly them, not the card's model.
-    """
+    """The records end to end without spikes, what flies them (`path`: the recorded accelerations and rates), and
+    notes."""
     notes: list[str] = []
     dynamics: Dynamics
     if path:

@@ -403,10 +403,8 @@ Histories = Mapping[str, xr.Dataset]
 
 
 def diagnosed(view: View) -> Histories:
-    """Coefficients as the card reconstructs them, by the card's model and by the extended one, and both models' X.
-
-    By a model is what was measured less what the model leaves: errors of sensors that it knows are in it.
-    """
+    """Coefficients as the card reconstructs them, and by both models: measured less what the model leaves, so that
+    errors of sensors that it knows are in it; and both models' X."""
     models = {"card": view.card, "extended": view.extended}
     columns = {}
     for c, name in enumerate(view.coefficients):
@@ -425,10 +423,8 @@ def identified(run: Identification) -> Histories:
 
 
 def flights(paths: Iterable[SimulatedManoeuvre], units: Mapping[str, str] | None = None) -> Histories:
-    """Outputs as measured and by each model: groups trajectories_fitted and trajectories_hold_out, by the paths' split.
-
-    `units` of outputs (SI), for channels that the program does not know by name.
-    """
+    """Outputs as measured and by each model, a group for each split of the paths; `units` of outputs (SI) for channels
+    that the program does not know by name."""
     known = units or {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
     splits: dict[str, dict[str, dict[str, SimulatedManoeuvre]]] = {}
     for path in paths:

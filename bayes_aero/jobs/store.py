@@ -36,11 +36,8 @@ PACKAGES = (
 def provenance(
     card: Card | None, records: Sequence[FlightRecord], seed: int | None, settings: dict[str, Any], options: Any = None
 ) -> dict[str, Any]:
-    """All that is needed to make the run again; the only part of the results that names a time or a machine.
-
-    A card, records or a seed that the command did not need are absent. The command is for people: what reads a result
-    goes by inputs, card and `options` (a dataclass).
-    """
+    """All that is needed to make the run again, the only part of the results that names a time or a machine. The
+    command is for people: what reads a result goes by inputs, card and `options` (a dataclass)."""
     files = () if card is None else card.effect_files
     return {
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
@@ -192,11 +189,8 @@ RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", 
 
 
 def writable(folder: Path, *older: str) -> None:
-    """Make the folder for results, or say why it cannot be; a link in it that leads out of it is refused.
-
-    What is written would land there. The folder may be a link itself, for the user has named it. `older`: files
-    of an earlier run, which go.
-    """
+    """Make the folder for results, without the files `older` of an earlier run, or say why it cannot be. The folder may
+    be a link itself, for the user has named it; a link in it that leads out of it is refused."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         root, leads_out = folder.resolve(), None
