@@ -169,7 +169,8 @@ def effects(
     Example: bayes-aero effects pitch_rate_bias
     """
     from bayes_aero.flight.card import read_card
-    from bayes_aero.jobs.catalogue import effect_facts, effect_named, known_effects
+    from bayes_aero.jobs.catalogue import effect_facts, known_effects
+    from bayes_aero.model.model import effect_named
 
     card = None if model is None else read_card(model)
     known = known_effects(card)

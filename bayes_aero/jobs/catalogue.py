@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.jobs.store import picked, provenance, sha256_of, write_json
-from bayes_aero.model.model import own_effects
+from bayes_aero.model.model import effect_named, own_effects
 from bayes_aero.units import quantity_to_si
 
 if TYPE_CHECKING:  # what computes and draws is heavy, and a study reads this module
@@ -24,23 +23,11 @@ if TYPE_CHECKING:  # what computes and draws is heavy, and a study reads this mo
     from bayes_aero.simulate.demo import Request
     from bayes_aero.simulate.injection import Synthetic
 
-WORDS = 3  # effects that an unknown name is taken to mean
-
 
 def known_effects(card: Card | None = None) -> dict[str, Effect]:
     """The catalogue, and the effects of the card's own files, in alphabetical order."""
     own = own_effects(card.effect_files) if card is not None else {}
     return dict(sorted((CATALOGUE | own).items()))
-
-
-def effect_named(name: str, among: Mapping[str, Effect]) -> Effect:
-    """One effect; an unknown name is reported with those that look like it."""
-    if name in among:
-        return among[name]
-    close = get_close_matches(name, among, n=WORDS, cutoff=0.5)
-    close = close or [other for other in among if name.casefold() in other][:WORDS]
-    hint = f"did you mean {' or '.join(close)}?" if close else "bayes-aero effects lists them all"
-    raise InputError(f"there is no effect {name!r}; {hint}")
 
 
 def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:

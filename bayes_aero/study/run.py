@@ -32,7 +32,6 @@ from bayes_aero.flight.card import Card, read_card, shipped_cards
 from bayes_aero.flight.card_tables import is_file, read_table
 from bayes_aero.flight.reading import READERS
 from bayes_aero.flight.record import segment_of
-from bayes_aero.jobs.catalogue import effect_named, known_effects
 from bayes_aero.jobs.options import (
     MAX_SEED,
     DiagnoseOptions,
@@ -240,8 +239,6 @@ def check_variants(given: Sequence[Sequence[str]], cards: Mapping[Any, Card], ta
     for names in given:
         for card in cards.values():
             try:
-                for name in names:
-                    effect_named(name, known_effects(card))
                 if task == "fly" and card.linear is not None and not names:
                     from bayes_aero.dynamics.flight import linear_dynamics
 
