@@ -23,7 +23,6 @@ from types import UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import msgspec
-import pandas as pd
 
 import bayes_aero
 from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
@@ -433,8 +432,10 @@ RESULTS = {"identify": "results.json", "diagnose": "diagnosis.json", "fly": "tra
 """Where a task leaves its numbers."""
 
 
-def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> None:
     """units.csv and results.csv with their Parquet twins in `out`; units that are not done have no results."""
+    import pandas as pd  # heavy, and a mistake in a study is reported before
+
     rows, results = [], []
     for unit in units:
         manifest = _json(folder / unit.name / MANIFEST)
@@ -470,7 +471,6 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.Da
         parquet = table.astype(dict.fromkeys(text, "string")).to_parquet(index=False)
         write_whole(table.to_csv(index=False, lineterminator="\n"), out / f"{name}.csv", flush=True)
         write_whole(parquet, out / f"{name}.parquet", flush=True)
-    return tables
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -541,7 +541,9 @@ def put_report(study: Study, out: Path) -> tuple[str, tuple[str, ...]]:
     return study_headline(context), put_page(lambda: study_page(context), out)
 
 
-def _table(out: Path, name: str) -> pd.DataFrame:
+def _table(out: Path, name: str) -> Any:
+    import pandas as pd
+
     return pd.read_csv(out / f"{name}.csv", keep_default_na=False, na_values={key: [""] for key in NUMBERS})
 
 
