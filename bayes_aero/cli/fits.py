@@ -391,23 +391,27 @@ def run(
         rows[p.unit.name] = {"name": p.unit.name, **asdict(p.state), "seconds": None, "error": p.state.why}
     code = 0
     if dry_run:
-        table = Table("unit", "state", "why", box=SIMPLE_HEAD)
-        for row in rows.values():
-            table.add_row(row["name"], row["state"], row["why"])
-        console.print(table)
+        print_plan(console, list(rows.values()))
     else:
         results, verdict, unwritten = run_planned(asked, folder, planned, (workers, memory, scheduler))
         for name, result in results.items():
             rows[name] |= result
         code = print_outcome(console, folder, rows, len(results), (asked, verdict, unwritten))
-    counts = dict(Counter(row["state"] for row in rows.values()))
-    if dry_run:
-        console.print(f"{len(planned)} units: {', '.join(f'{n} {word}' for word, n in counts.items())}")
     if json:
+        counts = dict(Counter(row["state"] for row in rows.values()))
         about = {"file": asked.path.name, "title": asked.title, "task": asked.task, "sha256": asked.sha256}
         told = {"schema": SCHEMA, "study": about, "out": str(folder), "counts": counts, "units": list(rows.values())}
         terminal.print_json(told)
     raise typer.Exit(code)
+
+
+def print_plan(console: Console, rows: list[dict[str, Any]]) -> None:
+    table = Table("unit", "state", "why", box=SIMPLE_HEAD)
+    for row in rows:
+        table.add_row(row["name"], row["state"], row["why"])
+    console.print(table)
+    counts = Counter(row["state"] for row in rows)
+    console.print(f"{len(rows)} units: {', '.join(f'{n} {word}' for word, n in counts.items())}")
 
 
 def run_planned(
