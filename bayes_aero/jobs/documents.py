@@ -17,7 +17,7 @@ from msgspec.structs import fields
 from bayes_aero.diagnosis.result import CancellingPair, CausesInBand, Disagreement, SizeInBand
 from bayes_aero.flight.health import Consistency, Departure, HealthFinding
 from bayes_aero.inference.results import Share as InsideShare
-from bayes_aero.qualification.result import OpenTolerance, Outside
+from bayes_aero.qualification.result import Outside
 
 Number = float | None
 Size = Annotated[float, Meta(ge=0)]
@@ -453,6 +453,16 @@ class TestPart(Part):
     recorded: BesidePart | None = field(name="record")
 
 
+class UndecidedTest(Part):
+    """An undecided test: the probability to pass now, and if the parameters were known exactly."""
+
+    kind: FlightWord
+    manoeuvre: str
+    output: str
+    present: Fraction
+    known: Fraction
+
+
 class FurtherPoint(PointPart):
     expected: list[float] = field(name="probabilities")  # of each test, expected with this point and those before it
     rate: float = field(name="nats_per_second")
@@ -461,7 +471,7 @@ class FurtherPoint(PointPart):
 class FurtherPart(Part):
     """Test points that would decide undecided tests, in the order of flying; null if none is undecided."""
 
-    tests: list[OpenTolerance]
+    tests: list[UndecidedTest]
     points: list[FurtherPoint]
     refused: dict[str, str]
     why_not: str
