@@ -134,7 +134,7 @@ def flown(hidden: Mapping[str, float] | None = None, seed: int = 0, noise: float
     """One record of the true aircraft with what is hidden in it."""
     card, v = three_axis_card(), values(hidden or {})
     given = motion(seed)
-    known = {name: jnp.asarray(x) for name, x in v.items()}
+    known = {name: jnp.asarray(x, float) for name, x in v.items()}  # of one type, or each flight compiles anew
     aircraft = models()[0].actual_aircraft(known, card.aircraft)
     signals = {name: jnp.asarray(x) for name, x in given.items()}
     controls, felt, left = _balanced(known, signals, aircraft)

@@ -144,9 +144,12 @@ def print_failures(console: Console, failures: Sequence[str]) -> None:
 
 
 def print_lines(console: Console, sentences: Sequence[str], notes: Sequence[str] = ()) -> None:
-    for mark, lines in (("•", sentences), ("!", notes)):
-        for line in lines:
-            console.print(f"{mark} {line}", highlight=False)
+    """Sentences, those that are doubts with a mark, then remarks."""
+    from bayes_aero.report.phrases import is_doubtful
+
+    marked = [("!" if is_doubtful(line) else "•", line) for line in sentences]
+    for mark, line in (*marked, *(("!", note) for note in notes)):
+        console.print(f"{mark} {line}", highlight=False)
 
 
 def exit_if_failed(failures: Sequence[str]) -> None:
@@ -188,9 +191,7 @@ def conclude(
         print_failures(console, failed_parts)
         print_lines(console, (), [finding.sentence for finding in found.health])
         if agreement is not None:
-            first, *rest = consistency_sentences(agreement, corrects=corrects)
-            print_lines(console, *((), [first]) if agreement.disagrees else ([first],))
-            print_lines(console, rest)
+            print_lines(console, consistency_sentences(agreement, corrects=corrects))
         show()
     if failed or failed_parts:
         raise typer.Exit(FAILED)

@@ -1,4 +1,4 @@
-"""Numbers with the units that people read, lists in words, and the table of sentences (`words.toml`)."""
+"""Numbers with the units that people read, lists in words, and the tables of sentences and messages (`words.toml`)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.units import number
 
 WORDS: dict[str, Any] = tomllib.loads(files("bayes_aero.report").joinpath("words.toml").read_text("utf-8"))
-"""What reports say: captions, terms, notes, and the `sentences` that values are put into."""
+"""What reports say: captions, terms, notes, and the `sentences` and `messages` that values are put into."""
 
 GREEK = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h", "beta": "β", "phi": "φ", "psi": "ψ"}
 
@@ -65,9 +65,28 @@ def filled(text: str, /, **values: Any) -> str:
     return _Filled().vformat(text, (), values)
 
 
+class Message(str):
+    """What is read of a message of `words.toml`, text and then what to do, with its key and how grave it is."""
+
+    key: str
+    severity: str  # finding: an answer; doubt: a result is less sure than it looks; error: a result is of no use
+    do: str
+
+
 def sentence(key: str, /, **values: Any) -> str:
-    """The sentence `key` of `words.toml` with its values."""
-    return filled(WORDS["sentences"][key], **values)
+    """The sentence or the `Message` `key` of `words.toml` with its values."""
+    if key in WORDS["sentences"]:
+        return filled(WORDS["sentences"][key], **values)
+    entry = WORDS["messages"][key]
+    text, do = (filled(entry.get(part, ""), **values).strip() for part in ("text", "do"))
+    message = Message(f"{text} {do}".strip())
+    message.key, message.severity, message.do = key, entry["severity"], do
+    return message
+
+
+def is_doubtful(said: str) -> bool:
+    """Whether a sentence is a message of the table and more than an answer."""
+    return isinstance(said, Message) and said.severity != "finding"
 
 
 def for_people(unit: str) -> tuple[str, float]:

@@ -418,7 +418,8 @@ class _Correction(eqx.Module):
         """The correction, and the channels as its matrix."""
         x = np.stack(list(channels.values()))
         scale = np.maximum(np.max(np.abs(x), axis=1), 1e-3)
-        correction = cls(model, tuple(channels), dict(values), dict(marks), aircraft, jnp.asarray(scale))
+        numbers = {name: jnp.asarray(value, float) for name, value in values.items()}  # a Python number would be static
+        correction = cls(model, tuple(channels), numbers, dict(marks), aircraft, jnp.asarray(scale))
         return correction, jnp.asarray(x / scale[:, None])
 
     @eqx.filter_jit

@@ -351,7 +351,7 @@ def with_process_noise(CLa: tuple[float, float], *, converged: bool = True) -> M
 
 
 @pytest.mark.parametrize(("CLa", "apart", "said"), [
-    ((4.33, 0.05), (), "CLa agrees with the coefficients (CLa 4.330 ± 0.050): prefer them"),
+    ((4.33, 0.05), (), "CLa agrees with the coefficients (CLa 4.330 ± 0.050). Prefer the estimates with process noise"),
     ((3.4, 0.05), ("CLa",), "CLa still differs from the coefficients (CLa 3.400 ± 0.050): the model lacks"),
 ])  # fmt: skip
 def test_the_filter_decides_between_two_fits_that_disagree(CLa, apart, said):

@@ -78,7 +78,7 @@ def html(full):
 
 def test_whatever_comes_from_a_run_is_escaped():
     table = HtmlTable(HOSTILE, (HOSTILE, "b"), ((HOSTILE, HOSTILE),), ((HOSTILE, 2),), note=HOSTILE)
-    picture = Picture("data:,", HOSTILE, HOSTILE, 3, 2, 2)
+    picture = Picture("data:,", HOSTILE, 3, 2, 2)
     panel = Panel("CL", "1", (Line("measured", "#000000", np.arange(3.0)),))
     item = {**linked(np.arange(3.0), [panel], "time"), "more": HOSTILE}
     plot = Plot(item, ((HOSTILE, "#000000", "solid"),), HOSTILE, HOSTILE, HOSTILE)
@@ -107,7 +107,7 @@ def test_a_page_is_sound_asks_nothing_of_a_network_and_tells_the_numbers(html, f
     assert all(b - a <= 1 for a, b in zip([0, *outline.headings], outline.headings, strict=False))
     assert outline.scopeless == 0
     assert outline.alternatives
-    assert all(len(text) > 40 and re.search(r"\d", text) for text in outline.alternatives)
+    assert all(len(text) > 20 for text in outline.alternatives)
     text = Outline(html).text
     holds(text, "emcee", "NUTS", "Cramér–Rao", "Figure pair was not drawn: it rained")
     assert full.records[0].sha256 in text
@@ -207,9 +207,9 @@ def test_a_picture_is_the_file_as_it_was_drawn(tmp_path):
     wide = Image.new("RGB", (3000, 600), "white")
     wide.paste((0, 114, 178), (0, 0, 1500, 600))
     wide.save(tmp_path / "wide.png")
-    gallery = Gallery({"wide": tmp_path / "wide.png"}, {"wide": ("caption", "alt 1")})
+    gallery = Gallery({"wide": tmp_path / "wide.png"}, {"wide": "caption"})
     (picture,) = gallery("wide", "absent")
-    assert (picture.caption, picture.alt) == ("caption", "alt 1")
+    assert picture.caption == "caption"
     assert (picture.width, picture.height) == (3000, 600)
     assert picture.natural == 1920  # 3000 pixels at 150 to the inch, 96 on a screen
     head, content = picture.source.split(",")

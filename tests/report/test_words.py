@@ -3,7 +3,9 @@
 import re
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 from string import Formatter
+from types import SimpleNamespace
 
 import jsonschema
 import pytest
@@ -20,11 +22,12 @@ from bayes_aero.jobs.documents import ChangePart, document_schema
 from bayes_aero.jobs.store import plain
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
+from bayes_aero.report import phrases
 from bayes_aero.report.pages.diagnosis import changes_table
 from bayes_aero.report.pages.estimates import sign_sentences, verdict
 from bayes_aero.report.pages.findings import change_sentences, diagnosis_sentences
 from bayes_aero.report.pages.identification import headline
-from bayes_aero.report.phrases import WORDS, filled, not_testable_sentences, several
+from bayes_aero.report.phrases import WORDS, filled, is_doubtful, not_testable_sentences, several
 
 
 def sentence(run, *words: str) -> str:
@@ -102,7 +105,7 @@ def test_engines_and_posteriors_that_disagree_or_did_not_finish(make):
     run = make(gp=False)
     other = make(shift={"CLa": 1.0}, width=1.3, gp=False).posteriors["nuts"]
     run = replace(run, posteriors=run.posteriors | {"nuts": other})
-    assert "(CLa)" in sentence(run, "emcee and NUTS disagree", "run longer")
+    assert "(CLa)" in sentence(run, "emcee and NUTS disagree", "Run longer")
     run = make()
     bad = replace(run.posteriors["nuts"], status=PosteriorStatus.DIVERGENT)
     run = replace(run, posteriors=run.posteriors | {"nuts": bad})
@@ -264,7 +267,24 @@ def test_sentences_read_lists_out_follow_their_length_and_write_errors():
     assert (one, two) == ("a is 0.573 ± 0.057 deg (50%)", "a and b are 0.573 ± 0.057 deg (50%)")
     assert filled("{n} {n:effect is|effects are}", n=1) == "1 effect is"
     assert several("abcd", 2) == "a and b and 2 more"
-    assert all(parse(text) for part in ("sentences", "tables") for text in leaves(WORDS[part]))
+    assert all(parse(text) for part in ("sentences", "messages", "tables") for text in leaves(WORDS[part]))
+
+
+def test_a_message_has_a_key_a_severity_a_text_and_what_to_do():
+    messages = WORDS["messages"]
+    assert {one["severity"] for one in messages.values()} == {"finding", "doubt", "error"}
+    assert not set(messages) & set(WORDS["sentences"])
+    source = "".join(path.read_text("utf-8") for path in Path(phrases.__file__).parents[1].rglob("*.py"))
+    assert not [
+        key for key in messages if f'"{key}"' not in source and key.partition("_")[0] not in ("verdict", "model")
+    ]
+    bound = {"b": SimpleNamespace(name="CL0"), "side": "lower", "bound": "0", "unit": "", "free": "-1", "moves": ""}
+    said = phrases.sentence("at_bound", **bound)
+    assert (said.key, said.severity, said.do) == ("at_bound", "doubt", "Widen the bound, or fix CL0.")
+    assert said.startswith("CL0 is at its lower bound, 0")
+    assert said.endswith(said.do)
+    answers = phrases.sentence("agree"), phrases.sentence("verdict_explained", n=1, names="")
+    assert [is_doubtful(one) for one in (said, *answers)] == [True, False, False]
 
 
 def leaves(words):

@@ -20,7 +20,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import of_coefficient, predicted, what_is_shown
 from bayes_aero.report.pages import estimates as comparison
 from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered, unit_of
-from bayes_aero.report.phrases import GREEK, WORDS, bracket, plus_minus, several
+from bayes_aero.report.phrases import GREEK, WORDS, bracket, plus_minus, sentence
 from bayes_aero.report.table import NORMAL95, Estimate
 
 if TYPE_CHECKING:
@@ -205,31 +205,18 @@ def what_predicts(identification: Identification) -> str:
     return "posterior predictive" if identification.noise is Colour.WHITE else "one-step-ahead posterior predictive"
 
 
-def pit_words(identification: Identification) -> tuple[str, str]:
-    """Caption and alternative text of `pit_histogram`."""
+def pit_caption(identification: Identification) -> str:
+    """Caption of `pit_histogram`."""
     t = identification.pit
     assert t is not None, "the figure was drawn"
-    names = identification.observations.coefficients
+    correlations = dict(zip(identification.observations.coefficients, t.correlation, strict=True))
     limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
-    coloured = [n for n, r in zip(names, t.correlation, strict=True) if abs(r) > limit]
-    independence = "That is near enough to independence for the band."
-    if coloured:
-        independence = (
-            f"The residuals of {several(coloured)} are coloured: the band takes samples as independent, so it is too "
-            "narrow there if neighbours resemble each other, and bars outside it prove little."
-        )
-    listed = several(f"{n} {r:+.2f}" for n, r in zip(names, t.correlation, strict=True))
-    if identification.noise is Colour.WHITE:
-        how = "White noise predicts each sample by itself"
-    else:
-        how = "Each sample is predicted from those before it, so its error is an innovation of the noise model"
-    outside = several(f"{b.outside} of {len(b.height)} ({n})" for n, b in zip(names, t.bars, strict=True))
-    return (
-        f"{WORDS['captions']['pit']} {how}; neighbours correlate by {listed}. {independence}",
-        f"Histograms of the probability integral transform for {several(names)} under the "
-        f"{what_predicts(identification)}. Bars outside the 95 % band of uniform values: {outside}. "
-        f"Lag-1 correlation of neighbours: {listed}.",
-    )
+    coloured = [name for name, r in correlations.items() if abs(r) > limit]
+    white = identification.noise is Colour.WHITE
+    listed = [f"{name} {r:+.2f}" for name, r in correlations.items()]
+    how = sentence("pit_white" if white else "pit_coloured", listed=listed)
+    narrow = sentence("pit_narrow", names=coloured) if coloured else ""
+    return f"{WORDS['captions']['pit']} {how} {narrow}".strip()
 
 
 # --- The seed paper's figures without time: measured against predicted, and the stall hysteresis.

@@ -22,6 +22,7 @@ from markupsafe import Markup, escape
 from bayes_aero import __version__
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import failure
+from bayes_aero.report.phrases import is_doubtful
 from bayes_aero.report.table import Table, cell_text
 
 ACROSS = 150  # characters in a row of a table from which paper is turned
@@ -92,7 +93,6 @@ class Picture:
     """A static figure."""
 
     source: str  # a data URI
-    alt: str  # says in words and numbers what it shows
     caption: str
     width: int  # pixels of the picture
     height: int
@@ -101,7 +101,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Plot:
-    """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style), words as for a picture."""
+    """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style), and what it shows."""
 
     item: Mapping[str, Any]
     legend: tuple[tuple[str, str, str], ...]
@@ -155,7 +155,7 @@ def blocks(*parts: Any) -> tuple[Block, ...]:
         elif isinstance(part, Table):
             made.append(page_table(part))
         elif isinstance(part, str):
-            made += [Text(part)] if part else []
+            made += [Text(part, "warning" if is_doubtful(part) else "plain")] if part else []
         elif isinstance(part, list) and part and all(isinstance(item, str) for item in part):
             made.append(Points(tuple(part)))
         elif part is not None:
@@ -266,17 +266,17 @@ CSS_INCH = 96.0  # pixels of a screen in which a font has its nominal size
 
 
 class Gallery:
-    """The drawn figures by stem, with captions and alternative texts."""
+    """The drawn figures by stem, with captions."""
 
-    def __init__(self, paths: Mapping[str, Path], texts: Mapping[str, tuple[str, str]]) -> None:
-        self.paths, self.texts = paths, texts
+    def __init__(self, paths: Mapping[str, Path], captions: Mapping[str, str]) -> None:
+        self.paths, self.captions = paths, captions
 
     def __call__(self, *stems: str) -> tuple[Picture, ...]:
         """The pictures of these stems that were drawn."""
-        return tuple(picture(self.paths[stem], *self.texts[stem]) for stem in stems if stem in self.paths)
+        return tuple(picture(self.paths[stem], self.captions[stem]) for stem in stems if stem in self.paths)
 
 
-def picture(path: Path, caption: str, alt: str) -> Picture:
+def picture(path: Path, caption: str) -> Picture:
     """The PNG file as it is, which `save` made small, with its width on a screen at which text has nominal size."""
     from PIL import Image
 
@@ -286,4 +286,4 @@ def picture(path: Path, caption: str, alt: str) -> Picture:
     with Image.open(io.BytesIO(content)) as opened:
         width, height = opened.size
     source = "data:image/png;base64," + base64.b64encode(content).decode("ascii")
-    return Picture(source, alt, caption, width, height, round(CSS_INCH * width / DPI))
+    return Picture(source, caption, width, height, round(CSS_INCH * width / DPI))

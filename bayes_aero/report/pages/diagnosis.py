@@ -15,7 +15,6 @@ from bayes_aero.report.html.page import Gallery, Report, Section, Text, fold, se
 from bayes_aero.report.pages import parts
 from bayes_aero.report.pages.estimates import band_text
 from bayes_aero.report.pages.findings import diagnosis_sentences, findings, in_band_sentences, sentences
-from bayes_aero.report.pages.parts import DEG, interval
 from bayes_aero.report.pages.qualification import points_sentences, points_table
 from bayes_aero.report.pages.trajectories import simulation_gain, trajectories, trajectory_sentences
 from bayes_aero.report.phrases import (
@@ -41,7 +40,6 @@ from bayes_aero.report.table import (
     parameter_columns,
     table,
 )
-from bayes_aero.units import number
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import Cause, CausesInBand, Diagnosis, DiagnosisView, HoldoutScores, Ranking, View
@@ -297,39 +295,12 @@ def in_band_table(found: CausesInBand) -> Table:
     return table("in_band", columns, band=band_text(found))
 
 
-# --- Captions and alternative texts of the figures, which say in numbers what each shows.
+# --- The page.
 
-
-def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
-    """Caption and alternative text by stem."""
-    before, after, best = view.card.composition, view.extended.composition, telling(view)
-    what = best.quantity.replace("_", " ")
-    leading = {r.stage: several(f"{s.effect} {s.score:.1f}" for s in r.candidate_scores[:3]) for r in view.rankings}
-    moves = [(abs(m.after - m.before) / max(m.sd_after, 1e-300), n, m) for n, m in view.moves.items()]
-    far = sorted(moves, key=lambda move: -move[0])[:3]
-    peaks, apart = [], []
-    for label, s in view.stalls.items():
-        X, peak = s.X[1][1], {"CL": interval(s.CL_max), "alpha": interval(s.alpha_max, DEG, 1)}
-        ends = {"begin": DEG * s.alpha[0], "end": DEG * s.alpha[-1], "first": X[0], "last": X[-1]}
-        apart.append(sentence("model_separation", label=label, **ends))
-        peaks.append(sentence("model_peak" if s.seen else "model_rises", label=label, **peak))
-    values = {
-        "what": what,
-        "manoeuvre": best.manoeuvre,
-        "change": several(f"{note} with the {label}" for label, _, _, note in best.simulated),
-        "leaders": "; ".join(f"{stage}: {listed}" for stage, listed in leading.items()),
-        "gained": gained(view),
-        "moved": several(f"{n} from {number(m.before)} to {number(m.after)}" for _, n, m in far),
-        "names": before,
-        "errors": several(f"{n} {numbers['rmse']:.4f} and {after[n]['rmse']:.4f}" for n, numbers in before.items()),
-        "lags": several(f"{n} {numbers['lag1']:.2f} and {after[n]['lag1']:.2f}" for n, numbers in before.items()),
-        "peaks": " ".join(peaks),
-        "apart": " ".join(apart),
-    }
-    stems = ["found", "ranking", "gain", "moves", "residual_profiles", "residual_colour", "stall_models"]
-    stems += ["separation_models", "measured_simulated"]
-    captions = WORDS["captions"]
-    return {n: (captions[n].format(what, best.manoeuvre), sentence(f"alt_{n}", **values)) for n in stems}
+FIGURES = (
+    "found", "ranking", "gain", "moves", "residual_profiles", "residual_colour", "stall_models", "separation_models",
+    "measured_simulated",
+)  # fmt: skip
 
 
 def gained(view: View) -> str:
@@ -341,8 +312,6 @@ def gained(view: View) -> str:
     moved = {n: pair for n, pair in pairs.items() if pair[0] != pair[1]}
     return several(f"{n} R² from {before} to {after}" for n, (before, after) in moved.items()) + "." if moved else ""
 
-
-# --- The page.
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
 FROM_WHAT = {
@@ -366,7 +335,9 @@ def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> Report:
     """The page of a diagnosis, by coefficients or by trajectories alone."""
     d, whole = view.diagnosis, cast("View | None", view if hasattr(view, "card") else None)
     by_coefficients = whole is not None
-    gallery = Gallery(context.figures, {} if whole is None else diagnosis_alternatives(whole))
+    captions, best = WORDS["captions"], None if whole is None else telling(whole)
+    what = () if best is None else (best.quantity.replace("_", " "), best.manoeuvre)
+    gallery = Gallery(context.figures, {stem: captions[stem].format(*what) for stem in FIGURES} if what else {})
     verdict, *rest = diagnosis_sentences(d) if by_coefficients else sentences(view)
     lead: list[Any] = [Text(one, "lead") for one in context.revealed]
     if whole is not None and gained(whole):

@@ -504,10 +504,9 @@ def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
         sds = {n: p.sd / q.sd for n, (p, q) in pairs.items()}
         far, wide = max(means, key=lambda n: means[n]), max(sds, key=lambda n: abs(np.log(sds[n])))
         agree = means[far] < MEANS and abs(sds[wide] - 1.0) < SDS
-        said = ("agree", ".") if agree else ("disagree", "; run longer before you use either.")
-        engines = {"engines": [engine_label(a), engine_label(b)], "agree": said[0], "end": said[1]}
         sizes = {"means": means[far], "far": far, "sds": abs(sds[wide] - 1.0), "wide": wide}
-        sentences.append(sentence("samplers", **engines, **sizes))
+        key, engines = "samplers" if agree else "samplers_disagree", [engine_label(a), engine_label(b)]
+        sentences.append(sentence(key, engines=engines, **sizes))
     return sentences
 
 

@@ -273,7 +273,7 @@ def tested_sentences(d: Diagnosis) -> list[str]:
         for name, one in d.tested.outputs.items()
     ]
     beyond = [symbol(name) for name in d.tested.beyond]
-    return [sentence("tested", listed=listed) + (f" {sentence('tested_beyond', names=beyond)}" if beyond else "")]
+    return [sentence("tested", listed=listed), *([sentence("tested_beyond", names=beyond)] if beyond else [])]
 
 
 def _named(cause: Cause, sized: bool) -> str:

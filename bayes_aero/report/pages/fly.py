@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.time_histories import FLOWN, MET, Curve, stem_of
+from bayes_aero.report.figures.time_histories import FLOWN, Curve, stem_of
 from bayes_aero.report.html.page import Gallery, Report, Text, section
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.pages import estimates, parts, trajectories
@@ -391,10 +391,6 @@ def _lead(flown: TrajectoryFit) -> Text:
     return Text(f"Root-mean-square error of the simulation, first values → fit: {several(listed)}.", "lead")
 
 
-def _picture(context: FlyContext, stem: str, caption: str, alt: str) -> Any:
-    return Gallery(context.figures, {stem: (caption, alt)})(stem)
-
-
 def _opening(flown: TrajectoryFit, context: FlyContext) -> Any:
     """The output that the fit follows least: whose error is the largest share of its movement."""
     errors = {n: pair for n, pair in flown.rms_errors.items() if stem_of(n) in context.figures and pair[1] > 0.0}
@@ -403,10 +399,8 @@ def _opening(flown: TrajectoryFit, context: FlyContext) -> Any:
     flights = [flown.path(name, FITTED).measured for name in flown.manoeuvres]
     moved = {n: float(np.sqrt(np.mean([np.var(flight[n]) for flight in flights]))) for n in errors}
     worst = max(errors, key=lambda n: errors[n][1] / max(moved[n], 1e-300))
-    before, after, unit = amounts(flown.units[worst], *errors[worst])
     caption = f"{symbol(worst)}, which the fit follows least: measured and simulated."
-    alt = sentence("alt_followed_least", name=worst, before=before, after=after, unit=unit)
-    return _picture(context, stem_of(worst), caption, alt)
+    return Gallery(context.figures, {stem_of(worst): caption})(stem_of(worst))
 
 
 def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:
@@ -445,19 +439,12 @@ def _inputs(flown: TrajectoryFit, order: int) -> list[Panel]:
 
 def _parameters(flown: TrajectoryFit, context: FlyContext) -> list[Any]:
     """Every parameter with and without process noise, the gusts that were met, and the initial states."""
-    parameters, found, gusts = flown.fit.parameters, context.process_noise, None
-    converged = found if found is not None and found.converged else None
-    if found is not None and "gusts" in context.figures:
-        pairs = [(name, mean) for h in found.histories for name, (mean, _) in h.gusts.items()]
-        most = {name: float(np.max(np.abs(mean))) for name, mean in pairs}
-        known = {name: MET.get(name, (name, "")) for name in most}
-        sizes = several(f"{word} {most[name]:.2g} {unit}".rstrip() for name, (word, unit) in known.items())
-        alt = f"Time histories of the gusts; largest in magnitude: {sizes}."
-        gusts = _picture(context, "gusts", WORDS["captions"]["gusts"], alt)
+    parameters, filtered = flown.fit.parameters, context.process_noise
+    converged = filtered if filtered is not None and filtered.converged else None
     return [
         parameter_table(flown),
         converged and trajectories.process_noise_table(converged, flown, context.posteriors),
-        gusts,
+        Gallery(context.figures, WORDS["captions"])("gusts"),
         parts.symbols(parameters, [p.name for p in parameters], parts.conventions(context.card)),
         initial_table(flown),
     ]
@@ -467,8 +454,7 @@ def _frequency(flown: TrajectoryFit, context: FlyContext) -> tuple[Any, ...]:
     """Estimates in the band and responses; nothing where no band was asked for."""
     if not flown.frequency:
         return ()
-    coherent = several(f"{r.output} over {r.input} {np.median(r.coherence):.2f}" for r in flown.frequency_responses)
-    bode = _picture(context, "bode", WORDS["captions"]["bode"], f"Bode plots. Median coherence: {coherent}.")
+    bode = Gallery(context.figures, WORDS["captions"])("bode")
     return [said for fit in flown.frequency for said in estimates.frequency_sentences(fit)], bode
 
 
@@ -477,13 +463,7 @@ def _predictions(flown: TrajectoryFit, context: FlyContext) -> tuple[Any, ...]:
     found = None if context.process_noise is None else context.process_noise.one_step
     if found is None:
         return ()
-    by = several(
-        f"{name} {100.0 * share.share:.0f} % in their {100.0 * share.level:.0f} % intervals"
-        for name, one in found.outputs.items()
-        for share in one.shares[-2:-1]
-    )
-    alt = f"Quantile plots of innovations by output: {by}."
-    picture = _picture(context, "one_step", WORDS["captions"]["one_step"], alt)
+    picture = Gallery(context.figures, WORDS["captions"])("one_step")
     return trajectories.prediction_sentences(found), trajectories.one_step_table(found, flown.units), picture
 
 
@@ -496,5 +476,5 @@ def _posterior(context: FlyContext) -> tuple[Any, ...]:
         parts.warnings(estimates.unfinished(context.posteriors)),
         WORDS["paragraphs"]["posterior"],
         trajectories.posterior_table(context.posteriors),
-        _picture(context, "pair", caption, f"Pair plot. {caption}"),
+        Gallery(context.figures, {"pair": caption})("pair"),
     )

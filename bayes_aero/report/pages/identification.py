@@ -13,7 +13,7 @@ from bayes_aero.flight.health import only_following
 from bayes_aero.inference.results import interval_coverage
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.posterior import CORRELATIONS, pit_words
+from bayes_aero.report.figures.posterior import CORRELATIONS, pit_caption
 from bayes_aero.report.html.page import Gallery, Report, fold, section
 from bayes_aero.report.html.plots import Line, Panel
 from bayes_aero.report.pages import estimates, parts
@@ -229,42 +229,6 @@ def next_flight_table(run: Identification) -> Table:
     return table("next_flight", columns, dense=True)
 
 
-# --- Captions and alternative texts of the figures, which say in numbers what each shows.
-
-
-def identification_alternatives(run: Identification) -> dict[str, tuple[str, str]]:
-    """Caption and alternative text of every figure, by stem."""
-    mle, (crb, *others) = run.mle, estimates.methods(run)
-    wider = {m.label: list(m.over(crb).values()) for m in others}
-    ratios = "; ".join(f"{label} {np.median(times):.2f} times" for label, times in wider.items() if times)
-    both = zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)
-    strong = "; ".join(f"{a} and {b} {r:+.2f}" for a, b, r in mle.strong_correlations()[:5]) or "none beyond 0.9"
-    values: dict[str, Any] = {"count": f"{len(mle.names)} parameters", "fitted": several(mle.fit), "ratios": ratios}
-    values |= {"methods": len(others) + 1, "alone": len(run.alone), "strong": strong}
-    values["numbers"] = "; ".join(f"{n} {plus_minus(x, sd)}" for n, x, sd in both)
-    values["next"] = " ".join(estimates.next_flight_sentences(run)[:1])
-    stems = ["forest", "next_flight", "crb_vs_credible", "prior_posterior", "gp_prior_posterior", "pair"]
-    stems.append("fig2_gpr_fit")
-    if run.stall is not None:
-        s, X, alpha = run.stall, run.stall.X[1][1], DEG * np.asarray(run.observations.signals["alpha"])
-        peak = {"CL": interval(s.CL_max), "alpha": interval(s.alpha_max, DEG, 1)}
-        values["steady"] = sentence("steady_maximum" if s.seen else "steady_rises", **peak)
-        values |= {"low": alpha.min(), "high": alpha.max(), "begin": DEG * s.alpha[0], "end": DEG * s.alpha[-1]}
-        values |= {"first": X[0], "last": X[-1], "rate": s.rates[0] * DEG, "ends": s.X[0][1][-1]}
-        stems += ["stall", "separation"]
-    captions = WORDS["captions"]
-    words = {stem: (captions[stem].format(values["fitted"]), sentence(f"alt_{stem}", **values)) for stem in stems}
-    for engine, posterior in run.posteriors.items():
-        label, marginals = engine_label(engine), posterior.marginals.values()
-        sizes = {"rhat": max(m.rhat for m in marginals), "ess": min(m.ess_bulk for m in marginals)}
-        for kind in ("trace", "rank"):
-            alt = sentence("alt_chains", kind=kind.capitalize(), label=label, **sizes)
-            words[f"{kind}_{engine}"] = captions[kind].format(label), alt
-    for c, scores in mle.fit.items():
-        words[CORRELATIONS[c]] = captions["correlation"].format(c), sentence("alt_correlation", c=c, r=scores.r)
-    return words
-
-
 # --- The page: what stands on it, in which order.
 
 
@@ -275,7 +239,7 @@ def identification_page(
     flown: Sequence[SimulatedManoeuvre] = (),
 ) -> Report:
     """The page, with the drawn `figures` by stem and the simulated manoeuvres, where there are any."""
-    gallery = Gallery(figures, identification_alternatives(run))
+    gallery = Gallery(figures, _captions(run))
     findings = estimates.verdict(run)
     doubtful = [p for p in run.posteriors.values() if p.status.name != "CONVERGED"]
     labels = [f"{engine_label(p.engine)} under {noise_label(p.noise)} noise: {p.status.value}." for p in doubtful]
@@ -307,6 +271,16 @@ def identification_page(
             parts.provenance_section(source, run.notes, run.seconds),
         ],
     )
+
+
+def _captions(run: Identification) -> dict[str, str]:
+    """Of every figure, by stem."""
+    captions = dict(WORDS["captions"])
+    captions["fig2_gpr_fit"] = captions["fig2_gpr_fit"].format(several(run.mle.fit))
+    for engine in run.posteriors:
+        captions |= {f"{kind}_{engine}": captions[kind].format(engine_label(engine)) for kind in ("trace", "rank")}
+    captions |= {CORRELATIONS[c]: captions["correlation"].format(c) for c in run.mle.fit}
+    return captions | ({} if run.pit is None else {"pit": pit_caption(run)})
 
 
 def headline(run: Identification) -> str:
@@ -387,13 +361,12 @@ def _validation(run: Identification, gallery: Gallery) -> tuple[Any, ...]:
 
 def _diagnostics(run: Identification, gallery: Gallery) -> list[Any]:
     mle, tables = run.mle, [sampler_table(run, key) for key in run.posteriors]
-    bars = Gallery(gallery.paths, {"pit": pit_words(run)})("pit") if "pit" in gallery.paths else ()
     drawn = gallery("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts") if tables else ()
     eigen = np.asarray(mle.eigenvalues)
     rank = {"rank": int(np.sum(eigen > 1e-11 * eigen.max())), "of": len(eigen), "least": eigen.min()}
     strong = [f"{a} and {b}: {r:+.3f}" for a, b, r in mle.strong_correlations()]
     return [
-        fold("Calibration of the posterior's predictions", coverage_table(run), bars),
+        fold("Calibration of the posterior's predictions", coverage_table(run), gallery("pit")),
         fold("Convergence of the samplers: R-hat, effective sample size, rank plots", tables, drawn),
         fold("Prior and posterior", gallery("prior_posterior", "pair", "gp_prior_posterior")),
         fold(

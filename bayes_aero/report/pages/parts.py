@@ -13,7 +13,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import Agreement, Consistency, HealthFinding, OpenError
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Facts, Fold, HtmlTable, Plot, Section, Text, fold, section
+from bayes_aero.report.html.page import Block, Facts, Fold, HtmlTable, Plot, Section, Text, blocks, fold, section
 from bayes_aero.report.html.plots import LOW, MOST, TIME, Line, Over, Panel, linked
 from bayes_aero.report.phrases import (
     WORDS,
@@ -140,14 +140,13 @@ def doubts(
     failures: Sequence[str] = (),
     *,
     corrects: bool = False,
-) -> list[Text]:
+) -> list[Block]:
     """First part of a page: failed parts of the job, disagreement of the sensors, and faulty channels."""
     answer = []
     if agreement is not None and agreement.agreement is not Agreement.AGREE:
-        first, *_ = consistency_sentences(agreement, corrects=corrects)
-        answer = [Text(first, "warning" if agreement.disagrees else "plain")]
+        answer = consistency_sentences(agreement, corrects=corrects)[:1]
     faults = (f"{finding.sentence}." for finding in health if finding.grave)
-    return [*warnings(failures), *answer, *warnings(faults)]
+    return [*warnings(failures), *blocks(*answer), *warnings(faults)]
 
 
 # --- The records at a glance, and what the model means by its parameters.
@@ -285,10 +284,7 @@ def histories(
     over: Over = TIME,
 ) -> Plot:
     """One manoeuvre's panels; `what` begins the words that describe them."""
-    firsts = [(panel.label, panel.lines[0].values) for panel in panels]
-    spans = "; ".join(f"{x} from {number(float(np.nanmin(y)))} to {number(float(np.nanmax(y)))}" for x, y in firsts)
-    labels = several(label for label, _ in firsts)
-    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {labels}. Measured: {spans}."
+    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {several(p.label for p in panels)}."
     caption = sentence("thinned", n=len(time)) if len(time) > MOST else ""
     return Plot(linked(time - time[0], panels, key, over), legend, alt, caption, name)
 

@@ -19,7 +19,6 @@ from bayes_aero.report.html.page import Block, Facts, Report, page_table, pictur
 from bayes_aero.report.phrases import bracket, for_people, plain_unit, sentence, several
 from bayes_aero.report.style import NotDrawn, grid_of, housed, save
 from bayes_aero.report.table import columns_of, table
-from bayes_aero.units import number
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
 MIN_RATIO = 1.5  # scatter between units over their standard errors from which it is reported
@@ -118,11 +117,10 @@ def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
     except NotDrawn:
         return ()
     groups = [group[0] for _, group in panels_of(found) if group]
-    means = several(f"{e.label} {number(float(np.mean(e.value)))} {plain_unit(e.si)}" for e in groups[:MOST_PANELS])
     more = f" The first {MOST_PANELS} of {len(groups)} parameters." if len(groups) > MOST_PANELS else ""
     bars = "with its 95 % interval" if max(e.unit.max() for e in found) <= MOST_BARS else "without its interval"
     caption = f"Every unit's estimate {bars}, by the unit's number in the table below.{more}"
-    return (picture(path, caption, f"Estimates of all units. Means: {means}."),)
+    return (picture(path, caption),)
 
 
 def _across(found: list[AcrossUnits]) -> tuple[Any, ...]:
