@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, TypeVar, get_args
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, TypeVar, get_args
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -34,20 +34,16 @@ from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.reading import check_arrays, read_records, without_bad_options
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.frequency import coefficients_in_band
-from bayes_aero.inference.mle import fit_each_manoeuvre, fit_mle, without_noise_bias
 from bayes_aero.inference.pooled import check_manoeuvres
 from bayes_aero.inference.results import Identification, MleResult, Posterior
-from bayes_aero.inference.sampling import density_start, other_modes, sample_ensemble, sample_nuts, search_modes
+from bayes_aero.inference.sampling import sample_ensemble, sample_nuts
 from bayes_aero.inference.validation import SplitKind, Training, pit_of, validate
 from bayes_aero.jobs.check import RecordChecks, record_checks, repaired
-from bayes_aero.jobs.identify import pooled_manoeuvres
-from bayes_aero.jobs.options import FormingName, NoiseName
+from bayes_aero.jobs.identify import IdentificationJob, pooled_manoeuvres, sampled
+from bayes_aero.jobs.options import FormingName, IdentifyOptions, NoiseName
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
-from bayes_aero.model.noise import Colour, Density, Noise
-from bayes_aero.model.observations import observe
-from bayes_aero.model.records import Forming, on_recorded_axes
+from bayes_aero.model.noise import Colour
+from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.pages.diagnosis import (
     causes_table,
@@ -66,6 +62,7 @@ __all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "next_flight", "plot", 
 
 Engine = Literal["emcee", "nuts"]
 ENGINES = {"emcee": sample_ensemble, "nuts": sample_nuts}
+SETTINGS = tuple(f.name for f in fields(DiagnosisSettings))
 
 
 def read(
@@ -127,22 +124,13 @@ def fit(
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4; Morelli and Klein, J. Aircraft 34, 1997.
     """
     _choose("way of forming coefficients", coefficients, get_args(FormingName))
-    card, forming = _card(card), Forming(coefficients)
-    records = _sound(records, card)
-    card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
-    model = model or Model.from_card(card)
-    without_spikes, spikes = repaired(records)
-    observations = observe(without_spikes, card, model, forming)
-    mle = fit_mle(model, observations, seed=seed)
-    if forming is Forming.MATCHED:
-        mle = without_noise_bias(mle, without_spikes, card, model, seed=seed)
-    alone = fit_each_manoeuvre(model, observations, seed=seed)
-    in_band = None
+    card = _card(card)
+    options = IdentifyOptions(coefficients=coefficients, frequency=frequency, seed=seed)
+    job = IdentificationJob(_sound(records, card), card, options, model=model)
+    job.fit(seek=False)
     if frequency is not None:
-        in_band = coefficients_in_band(without_spikes, card, model, mle, frequency, seed=seed)
-    checks = vars(record_checks(records, card, seed, seek=False))
-    more = {"notes": (*left_out, *spikes), "forming": forming, "frequency": in_band} | checks
-    return Fit(Identification(card, model, tuple(records), observations, DEFAULT_NOISE, mle, alone, {}, **more))
+        job.fit_in_band(frequency)
+    return Fit(job.result)
 
 
 def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1", seed: int = 0) -> Fit:
@@ -170,12 +158,10 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1
     beside = colour is Colour.WHITE and run.noise is not Colour.WHITE and any(k != "white" for k in run.posteriors)
     if run.posteriors and colour is not run.noise and not beside:
         raise InputError(f"this fit has posteriors under {run.noise.value} noise; sample a new fit under {noise}")
-    density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
-    mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
-    posterior = ENGINES[engine](density, mode, seed=seed)
+    posterior, notes = sampled(run, engine, colour, ENGINES[engine], seed=seed)
     posteriors = run.posteriors | {"white" if beside else engine: posterior}
-    notes = (*run.notes, *other_modes(mode, f"{engine}, {colour.value} noise"))
-    run = replace(run, noise=run.noise if beside else colour, posteriors=posteriors, notes=notes)
+    kept = run.noise if beside else colour
+    run = replace(run, noise=kept, posteriors=posteriors, notes=(*run.notes, *notes))
     return Fit(replace(run, pit=pit_of(run)))
 
 
@@ -232,10 +218,9 @@ def diagnose(
     *,
     model: Model | None = None,
     candidates: Sequence[Effect] = (),
-    settings: DiagnosisSettings | None = None,
     seed: int = 0,
-    max_effects: int | None = None,
     process_noise: bool | None = None,
+    **settings: Any,
 ) -> Diagnosed:
     """Find the effects that a model lacks.
 
@@ -247,10 +232,9 @@ def diagnose(
         card: a `Card`, the name of a shipped one or a path.
         model: default: the card's model.
         candidates: your own effects, screened in addition to the catalogue.
-        settings: every threshold of the diagnosis; None: the defaults.
         seed: of the noise replicates.
-        max_effects: most effects that each stage adds; None: as the settings say.
         process_noise: True estimates gusts and compares the model with innovations; None: if the records are in gusts.
+        settings: thresholds of the diagnosis by name, e.g. `max_effects`, the effects that each stage may add.
 
     Returns:
         The diagnosis; sizes in SI and radians.
@@ -258,15 +242,16 @@ def diagnose(
     Raises:
         InputError: the records lack a channel that the model needs, or numbers in it.
     """
-    given = {"max_effects": max_effects, "process_noise": process_noise}
-    settings = replace(settings or DiagnosisSettings(), **{n: x for n, x in given.items() if x is not None})
-    own = _card(card)
-    records = _sound(records, own)
+    for name in settings:
+        _choose("setting", name, SETTINGS)
+    card = _card(card)
+    records = _sound(records, card)
     if model is None:
-        own, _ = on_recorded_axes(own, records)
-    found = run_diagnosis(records, own, model=model, settings=settings, seed=seed, extra=candidates)
+        card, _ = on_recorded_axes(card, records)
+    chosen = DiagnosisSettings(**settings, process_noise=process_noise)
+    found = run_diagnosis(records, card, model=model, settings=chosen, seed=seed, extra=candidates)
     known = errors_of_diagnosis(found) if found.by_coefficients else None
-    return Diagnosed(view_of(found), own, record_checks(records, own, seed, known=known, seek=False))
+    return Diagnosed(view_of(found), card, record_checks(records, card, seed, known=known, seek=False))
 
 
 def _sound(records: Sequence[FlightRecord], card: Card) -> list[FlightRecord]:

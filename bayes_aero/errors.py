@@ -46,7 +46,6 @@ class DefectError(RuntimeError):
 
 
 def plain_line(text: str) -> str:
-    """One line without control characters, at most `LONGEST` long."""
     line = _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
     return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
 

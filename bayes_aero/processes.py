@@ -1,20 +1,22 @@
-"""The process that computes: its compiled programs, its threads, and its end with its parent."""
+"""The process that computes: its compiled programs and their cache on disk, its threads, its end with its parent."""
 
 from __future__ import annotations
 
 import ctypes
 import gc
+import hashlib
 import os
+import platform
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-import jax
-from joblib import cpu_count
+import platformdirs
 from threadpoolctl import ThreadpoolController
 
 MAPPINGS, LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
@@ -23,6 +25,8 @@ MAX_SHARE = 0.6  # of the memory mappings; the next task may take as much as a w
 
 def give_back_memory() -> None:
     """Return unused memory to the system: compiled programs, and the free lists of glibc (over half a GB)."""
+    import jax  # takes seconds, and the cache is chosen before
+
     jax.clear_caches()
     gc.collect()
     if sys.platform == "linux":
@@ -42,6 +46,47 @@ def full_of_programs() -> bool:
         return False
 
 
+# --- The cache of compiled programs on disk, shared between processes.
+
+CACHE = "BAYES_AERO_CACHE"
+FOLDER = "JAX_COMPILATION_CACHE_DIR"
+MIN_SECONDS = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
+SECONDS = "0.2"  # s of compilation: half of a command's, in a tenth of the files
+
+
+def cache_folder() -> Path:
+    """Folder of compiled programs: JAX's variable, else in BAYES_AERO_CACHE or the user's cache folder one for each
+    kind of processor, because a program compiled for one may not run on another."""
+    if given := os.environ.get(FOLDER):
+        return Path(given)
+    root = Path(os.environ.get(CACHE) or platformdirs.user_cache_path("bayes_aero"))
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        described = "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
+    except OSError:
+        described = platform.processor()
+    return root / "compiled" / f"{platform.machine()}-{hashlib.sha256(described.encode()).hexdigest()[:8]}"
+
+
+def enable_cache() -> None:
+    """Store the compiled programs of this process; no effect once JAX is loaded, or without a writable folder."""
+    if "jax" in sys.modules:
+        return
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    os.environ.setdefault(FOLDER, str(folder))
+    os.environ.setdefault(MIN_SECONDS, SECONDS)
+    ignore_cache_errors()
+
+
+def ignore_cache_errors() -> None:
+    """Another process may be writing an entry or may have died while writing; the program is then compiled again."""
+    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache", UserWarning)
+
+
 # --- Number of cores that this process may use, and limits on the threads of linear algebra.
 
 VARIABLE = "BAYES_AERO_CORES"
@@ -51,6 +96,8 @@ WORTH_THREADS = 2500  # rows of a matrix below which a second BLAS thread costs 
 
 def cores() -> int:
     """Cores by the variable BAYES_AERO_CORES (a worker of a cluster has one), else all that the system allows."""
+    from joblib import cpu_count
+
     allowed = os.environ.get(VARIABLE, "")
     return max(1, int(allowed)) if allowed.isdecimal() else cpu_count()
 

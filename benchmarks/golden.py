@@ -75,7 +75,7 @@ def cases(work: Path) -> Iterator[tuple[str, list[str]]]:
             model, options = str(card), ["--no-figures"]
         files = [str(work / f"{name}_{k}.csv") for k in (1, 2)]
         for k, file in enumerate(files):
-            written = ["--duration", "45", "--noise", ("buffet", "ar1")[number % 2], "--no-page", "--out", file]
+            written = ["--duration", "45", "--noise", ("buffet", "ar1")[number % 2], "--out", file]
             code, text = said(["simulate", "--effect", effect, "--seed", str(100 + 2 * number + k), *written])
             if code:
                 sys.exit(text)

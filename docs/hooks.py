@@ -149,13 +149,13 @@ def qualification_schema() -> str:
 
 
 def _schema(name: str) -> str:
-    from bayes_aero.jobs.io.documents import document_schema
+    from bayes_aero.jobs.documents import document_schema
 
     schema = document_schema(name)
     rows: list[tuple[str, str, str]] = []
     _walk(schema, "", schema["$defs"], rows)
     text = json.dumps(schema, indent=2, ensure_ascii=False)
-    full = f'??? note "The schema itself, `bayes_aero.jobs.io.documents.document_schema({name!r})`"\n\n    ```json\n'
+    full = f'??? note "The schema itself, `bayes_aero.jobs.documents.document_schema({name!r})`"\n\n    ```json\n'
     full += "".join(f"    {line}\n" for line in text.splitlines()) + "    ```\n"
     return f"{schema['description']}\n\n{_table(('key', 'type', 'what it is'), rows)}\n\n{full}"
 

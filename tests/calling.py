@@ -14,7 +14,7 @@ import pytest
 
 from bayes_aero.cli import main
 from bayes_aero.flight.record import write_record
-from bayes_aero.jobs.io.documents import DOCUMENTS, document_schema
+from bayes_aero.jobs.documents import DOCUMENTS, document_schema
 from bayes_aero.jobs.store import plain
 
 

@@ -15,7 +15,7 @@ from browsing import needed
 import bayes_aero as ba
 from bayes_aero.flight.card import PARAMETER_KEYS, SECTIONS
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.jobs.io.documents import document_schema
+from bayes_aero.jobs.documents import document_schema
 from bayes_aero.parameter import FAMILIES
 from bayes_aero.physics.aircraft import AIRCRAFT_KEYS
 

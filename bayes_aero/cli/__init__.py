@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -12,9 +12,9 @@ from bayes_aero import __version__
 from bayes_aero.cli.fits import diagnose, export, fly, identify, path, qualify, run
 from bayes_aero.cli.fits import open as open_page
 from bayes_aero.cli.preparing import card, check, effects, simulate
-from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError, refuse_gone
+from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError
 from bayes_aero.errors import DefectError, InputError, plain_line
-from bayes_aero.study.jit_cache import enable_cache
+from bayes_aero.processes import enable_cache
 
 TRACEBACK = "BAYES_AERO_TRACEBACK"
 """Set in the environment, an unexpected failure shows where in the program it happened."""
@@ -61,38 +61,33 @@ for command in (identify, diagnose, fly, export, qualify, open_page, path, simul
 
 def main() -> None:
     """Entry point: bad input is one sentence and exit status 2, Ctrl-C is 130."""
+
+    def stop(text: str, code: int) -> NoReturn:
+        print(text, file=sys.stderr)
+        sys.exit(code)
+
     enable_cache()
     try:
-        refuse_gone(sys.argv[1:])
         app(prog_name=app.info.name)
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(BAD_INPUT)
+        stop(f"error: {error}", BAD_INPUT)
     except OSError as error:  # a full disk, a name that is too long: whatever the sentences before have not foreseen
         where = f"{error.filename}: " if error.filename else ""
-        print(f"error: {plain_line(f'{where}{error.strerror or error}')}; check the path and the disk", file=sys.stderr)
-        sys.exit(BAD_INPUT)
+        stop(f"error: {plain_line(f'{where}{error.strerror or error}')}; check the path and the disk", BAD_INPUT)
     except MemoryError:
-        print("error: there is not enough memory for this; take fewer or shorter records", file=sys.stderr)
-        sys.exit(BAD_INPUT)
+        stop("error: there is not enough memory for this; take fewer or shorter records", BAD_INPUT)
     except InterruptionError as stopped:
-        print(f"interrupted; {stopped}", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        stop(f"interrupted; {stopped}", INTERRUPTED)
     except DefectError as defect:
-        print(f"error: {defect}", file=sys.stderr)
-        sys.exit(FAILED)
+        stop(f"error: {defect}", FAILED)
     except ImportError:  # Ctrl-C in the midst of a library's first import ends so; the entry point knows
         raise
     except Exception as error:
         if os.environ.get(TRACEBACK):
             raise
         what = plain_line(f"{type(error).__name__}: {error}")
-        print(
-            f"error: the command failed unexpectedly ({what}). This is a defect of the program; please report it with "
-            f"the command, the card and what {TRACEBACK}=1 in the environment then prints",
-            file=sys.stderr,
-        )
-        sys.exit(FAILED)
+        report = f"please report it with the command, the card and what {TRACEBACK}=1 in the environment then prints"
+        stop(f"error: the command failed unexpectedly ({what}). This is a defect of the program; {report}", FAILED)
     except SystemExit as stopped:
         if stopped.code == INTERRUPTED:  # typer's own, before a command had begun its work
             print("interrupted; nothing had been written yet, give the same command again", file=sys.stderr)

@@ -7,12 +7,14 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.table import Table
 
 from bayes_aero.cli import terminal
 from bayes_aero.errors import InputError
@@ -28,9 +30,8 @@ from bayes_aero.jobs.options import (
 from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
-    from bayes_aero.jobs.io.results import Flight
-    from bayes_aero.study.run import Planned, UnitRunner
-    from bayes_aero.study.study import Study
+    from bayes_aero.jobs.results import Flight
+    from bayes_aero.study.run import Planned, Study, Unit, UnitRunner
 
 MOST = 5  # candidates of each stage on a terminal, where there is no cause
 
@@ -140,7 +141,7 @@ def diagnose(
 
 @terminal.with_options
 def fly(
-    records: Annotated[list[Path], typer.Argument(help=f"{terminal.RECORDS}.")],
+    records: terminal.RecordsArgument,
     reading: ReadingOptions,
     options: FlyOptions,
     out: terminal.OutOption = Path("trajectories"),
@@ -157,7 +158,7 @@ def fly(
     card, flights = terminal.card_and_records(records, reading)
     with terminal.loading():
         from bayes_aero.jobs.fly import fly as job
-        from bayes_aero.jobs.io.results import RESULTS
+        from bayes_aero.jobs.results import RESULTS
 
     console = terminal.teller(quiet=json, highlight=True)
     with terminal.working(out) as tell:
@@ -168,7 +169,7 @@ def fly(
 
 @terminal.with_options
 def path(
-    records: Annotated[list[Path], typer.Argument(help=f"{terminal.RECORDS}.")],
+    records: terminal.RecordsArgument,
     reading: ReadingOptions,
     options: PathOptions,
     out: terminal.OutOption = Path("path"),
@@ -188,7 +189,7 @@ def path(
     card, flights = terminal.card_and_records(records, reading)
     with terminal.loading():
         from bayes_aero.jobs.fly import flight_path
-        from bayes_aero.jobs.io.results import RESULTS
+        from bayes_aero.jobs.results import RESULTS
 
     console = terminal.teller(quiet=json, highlight=True)
     with terminal.working(out) as tell:
@@ -205,7 +206,6 @@ def path(
 
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
-    """Tables, findings and notes of a fit to trajectories."""
     from bayes_aero.report.pages import fly as of_fit
     from bayes_aero.report.pages import trajectories
 
@@ -235,8 +235,7 @@ def export(
         ),
     ],
     to: Annotated[
-        ExportForm,
-        typer.Option(help="jsbsim: aerodynamics, states and a body; fmu: FMI 2.0; tables: NetCDF and CSV."),
+        ExportForm, typer.Option(help="jsbsim: aerodynamics, states and a body; fmu: FMI 2.0; tables: NetCDF and CSV.")
     ],
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: NAME_FORM, here.")] = None,
     model: terminal.ResultCardOption = None,
@@ -266,9 +265,7 @@ def export(
 
 
 def open(
-    result: Annotated[
-        str, typer.Argument(help="Folder (or JSON file) that identify, fly or diagnose wrote.", metavar="DIR")
-    ],
+    result: terminal.ResultArgument,
     records: Annotated[
         list[Path] | None, typer.Option(help="Folder of the records, where they have moved; may be repeated.")
     ] = None,
@@ -300,10 +297,7 @@ def open(
 
 @terminal.with_options
 def qualify(
-    result: Annotated[
-        str,
-        typer.Argument(help="Folder (or JSON file) that fly, diagnose or identify wrote.", metavar="RESULT"),
-    ],
+    result: terminal.ResultArgument,
     options: QualifyOptions,
     records: Annotated[
         list[Path] | None, typer.Argument(help=f"Further tests: records that were not fitted. {terminal.RECORDS}.")
@@ -383,65 +377,67 @@ def run(
         raise InputError("--memory is for the processes of --workers; give how many")
     if dry_run and (workers or scheduler):
         raise InputError("--dry-run is done in this process; leave --workers and --scheduler out")
-    from bayes_aero.study.study import read_study
+    from bayes_aero.study.run import plan, read_study
 
     asked = read_study(study, trust_effects=trust_effects)  # a mistake is reported before the libraries are loaded
-    with terminal.loading():
-        from bayes_aero.study.run import leftovers, plan
-
     folder = out or Path(f"{study.stem}_results")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give another folder with --out")
     planned = plan(asked, folder)
     console = terminal.teller(quiet=json)
-    rest = leftovers(asked, folder)
-    if rest:
-        console.print(f"! not of this study, left as they are: {', '.join(rest)}", soft_wrap=True)
-    told: Mapping[str, Mapping[str, Any]] = {}
+    rows: dict[str, dict[str, Any]] = {}
+    for p in planned:
+        rows[p.unit.name] = {"name": p.unit.name, **asdict(p.state), "seconds": None, "error": p.state.why}
     code = 0
     if dry_run:
-        print_plan(console, planned)
+        print_plan(console, list(rows.values()))
     else:
-        told, verdict, unwritten = run_planned(asked, folder, planned, (workers, memory, scheduler))
-        code = print_outcome(console, folder, planned, told, verdict, unwritten)
+        results, verdict, unwritten = run_planned(asked, folder, planned, (workers, memory, scheduler))
+        for name, result in results.items():
+            rows[name] |= result
+        code = print_outcome(console, folder, rows, len(results), (asked, verdict, unwritten))
     if json:
-        terminal.print_json(study_results(asked, folder, [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]))
+        counts = dict(Counter(row["state"] for row in rows.values()))
+        about = {"file": asked.path.name, "title": asked.title, "task": asked.task, "sha256": asked.sha256}
+        told = {"schema": SCHEMA, "study": about, "out": str(folder), "counts": counts, "units": list(rows.values())}
+        terminal.print_json(told)
     raise typer.Exit(code)
 
 
-def study_results(asked: Study, folder: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The study and its units as plain data."""
-    about = {"file": asked.path.name, "title": asked.title, "task": asked.task, "sha256": asked.sha256}
-    counts = dict(Counter(row["state"] for row in rows))
-    return {"schema": SCHEMA, "study": about, "out": str(folder), "counts": counts, "units": rows}
+def print_plan(console: Console, rows: list[dict[str, Any]]) -> None:
+    table = Table("unit", "state", "why", box=SIMPLE_HEAD)
+    for row in rows:
+        table.add_row(row["name"], row["state"], row["why"])
+    console.print(table)
+    counts = Counter(row["state"] for row in rows)
+    console.print(f"{len(rows)} units: {', '.join(f'{n} {word}' for word, n in counts.items())}")
 
 
 def run_planned(
     asked: Study, folder: Path, planned: list[Planned], cluster: tuple[int | None, str | None, str | None]
 ) -> tuple[Mapping[str, Mapping[str, Any]], str, tuple[str, ...]]:
     """What every unit that was due said, the study's verdict, and what could not be written."""
-    from bayes_aero.study.run import UNITS, StoppedError, plan, put_report, run_study
+    with terminal.loading():
+        from bayes_aero.study.run import UNITS, StoppedError, plan, put_report, run_study
 
     def resume() -> str:
-        done = sum(p.state.word == "done" for p in plan(asked, folder))
+        done = sum(p.state.state == "done" for p in plan(asked, folder))
         return f"{done} of {len(planned)} units are done and kept in {folder}; the same command does the rest"
 
-    due = any(p.state.word != "done" for p in planned)
+    due = any(p.state.state != "done" for p in planned)
     try:
         with (
             terminal.interruptible(resume),
             terminal.bar("reading", over=3600.0) as show,
             unit_runner(*cluster if due else (None, None, None), folder / UNITS, show) as runner,
         ):
-            told = run_study(
-                asked,
-                folder,
-                planned,
-                report=lambda n, of, unit, stage: show(f"{n + 1}/{of} {unit.name}: {stage}", n / max(of, 1)),
-                runner=runner,
-            )
+
+            def report(number: int, of: int, unit: Unit, stage: str) -> None:
+                show(f"{number + 1}/{of} {unit.name}: {stage}", number / max(of, 1))
+
+            results = run_study(asked, folder, planned, report=report, runner=runner)
             show("report", 1.0)
-            return told, *put_report(asked, folder)
+            return results, *put_report(asked, folder)
     except StoppedError as reason:
         print(f"error: {reason}; {resume()}", file=sys.stderr)
         raise typer.Exit(terminal.FAILED) from None
@@ -450,41 +446,24 @@ def run_planned(
 def print_outcome(
     console: Console,
     folder: Path,
-    planned: list[Planned],
-    told: Mapping[str, Mapping[str, Any]],
-    verdict: str,
-    unwritten: tuple[str, ...],
+    rows: Mapping[str, Mapping[str, Any]],
+    now: int,
+    found: tuple[Study, str, tuple[str, ...]],
 ) -> int:
     """Doubts, failures, how many units were done now, the verdict, where the results are; returns the exit code."""
     from bayes_aero.study.run import UNITS, doubts_of
 
-    doubts = [(p.unit.name, said) for p in planned for said in doubts_of(p.unit, folder / UNITS)]
-    for name, sentence in doubts:
-        console.print(f"! {name}: {sentence}", soft_wrap=True)
-    failed = [row for row in (_row(p) | dict(told.get(p.unit.name, {})) for p in planned) if row["state"] != "done"]
-    for row in failed:
-        console.print(f"✗ {row['name']}: {row['error']}", style="red", soft_wrap=True)
-    terminal.print_failures(console, unwritten)
-    now, every = len(told), len(planned)
-    console.print(f"{every} units: {now - len(failed)} done now, {every - now} were done, {len(failed)} failed.")
+    asked, verdict, unwritten = found
+    doubts = [f"! {unit.name}: {said}" for unit in asked.units for said in doubts_of(unit, folder / UNITS)]
+    for sentence in doubts:
+        console.print(sentence, soft_wrap=True)
+    failed = [row for row in rows.values() if row["state"] != "done"]
+    terminal.print_failures(console, [*(f"{row['name']}: {row['error']}" for row in failed), *unwritten])
+    before = len(rows) - now
+    console.print(f"{len(rows)} units: {now - len(failed)} done now, {before} were done, {len(failed)} failed.")
     console.print(verdict, soft_wrap=True)
     console.print(f"Results are in {folder}: report.html, units/, units.csv, summary.csv, environment/", soft_wrap=True)
     return terminal.FAILED if failed or unwritten else terminal.DOUBT if doubts else 0
-
-
-def _row(p: Planned) -> dict[str, Any]:
-    return {"name": p.unit.name, "state": p.state.word, "why": p.state.why, "seconds": None, "error": p.state.why}
-
-
-def print_plan(console: Console, planned: list[Planned]) -> None:
-    """The units with their state."""
-    from bayes_aero.report.table import Table, columns_of
-
-    of = columns_of(planned)
-    unit, state = of(lambda p: p.unit.name, terminal="unit", words=True), of(lambda p: p.state.word, terminal="state")
-    console.print(Table([unit, state, of(lambda p: p.state.why, terminal="why", words=True)]).terminal())
-    counts = Counter(p.state.word for p in planned)
-    console.print(f"{len(planned)} units: {', '.join(f'{n} {word}' for word, n in counts.items())}")
 
 
 @contextmanager

@@ -26,7 +26,7 @@ EFFECTS = "bayes_aero/effects/1"
 
 @terminal.with_options
 def check(
-    records: Annotated[list[Path], typer.Argument(help=f"{terminal.RECORDS}.")],
+    records: terminal.RecordsArgument,
     reading: ReadingOptions,
     sensors: Annotated[bool, typer.Option(help="Check the sensors against each other along the flight path.")] = True,
     seed: terminal.SeedOption = 0,
@@ -121,21 +121,16 @@ def card(
     if target.exists() and not force:
         raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")
     with terminal.loading():
-        from bayes_aero.jobs.card_template import starter_card
+        from bayes_aero.jobs.card_template import put_starter_page, starter_card
 
     starter = starter_card(record)
     try:
         write_whole(starter.text, target)
     except OSError as reason:
         raise InputError(f"{target} cannot be written ({reason.strerror}); give another name with --out") from None
-    report = None
-    failures: tuple[str, ...] = ()
-    if page:
-        from bayes_aero.jobs.card_template import put_starter_page
-
-        report, failures = put_starter_page(starter, record, target)
+    report, failures = put_starter_page(starter, record, target) if page else (None, ())
     if json:
-        terminal.print_json(starter.told | {"card": str(target), "report": None if report is None else str(report)})
+        terminal.print_json(starter.facts | {"card": str(target), "report": None if report is None else str(report)})
     console = terminal.teller(quiet=json)
     console.print(f"The card is in {target}. Read its proposals.", soft_wrap=True)
     if starter.todo:
@@ -148,10 +143,7 @@ def card(
         )
     if report is not None:
         console.print(f"The report is in {report}", soft_wrap=True)
-    split = " --split" if starter.parts > 1 else ""
-    if split:
-        console.print(f"Gaps in time divide the file into {starter.parts} parts: --split reads each as a manoeuvre.")
-    console.print(f"Then: bayes-aero check {record} --model {target}{split}", soft_wrap=True)
+    console.print(f"Then: bayes-aero check {record} --model {target}", soft_wrap=True)
     terminal.print_failures(console, failures)
     terminal.exit_if_failed(failures)
 
@@ -170,9 +162,6 @@ def effects(
     model: Annotated[
         str | None, typer.Option(help="A card, for its own effect files and what its model has.", metavar="CARD")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for report.html and effects.json; none: nothing is written.")
-    ] = None,
     json: terminal.JsonOption = False,
 ) -> None:
     """List the catalogue of effects, or explain one: claim, formula, parameters, priors, worked example, source.
@@ -180,27 +169,19 @@ def effects(
     Example: bayes-aero effects pitch_rate_bias
     """
     from bayes_aero.flight.card import read_card
-    from bayes_aero.jobs.catalogue import effect_facts, effect_named, known_effects
+    from bayes_aero.jobs.catalogue import effect_facts, known_effects
+    from bayes_aero.model.model import effect_named
 
     card = None if model is None else read_card(model)
     known = known_effects(card)
     chosen = known.values() if name is None else [effect_named(name, known)]
     found = [effect_facts(effect, card) for effect in chosen]
-    failures: tuple[str, ...] = ()
-    if out is not None:
-        from bayes_aero.jobs.catalogue import write_effects_page
-
-        failures = write_effects_page(found, EFFECTS, card, out)
     if json:
         terminal.print_json({"schema": EFFECTS, "effects": found})
     elif name is None:
         print_table(found)
     else:
         print_effect(found[0])
-    if out is not None and not json:
-        terminal.print_failures(terminal.teller(), failures)
-        terminal.teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
-    terminal.exit_if_failed(failures)
 
 
 def print_table(found: Sequence[Mapping[str, Any]]) -> None:
@@ -212,18 +193,12 @@ def print_table(found: Sequence[Mapping[str, Any]]) -> None:
     for kind in sorted({effect["kind"] for effect in found}):
         table.add_section()
         table.add_row(Text(kind.upper(), "bold"), "")
-        for effect in found:
-            if effect["kind"] != kind:
-                continue
-            name = effect["name"] + (" *" if effect["model"] else "")
-            parameters = [
-                f"  {p['name']}" + ("" if p["unit"] == "1" else f", {p['unit']}") for p in effect["parameters"]
-            ]
-            needs = f"needs {', '.join(effect['needs'])}" if effect["needs"] else "needs nothing"
-            table.add_row(
-                Text.assemble(name, *(part for p in parameters for part in ("\n", (p, "dim")))),
-                Text.assemble(effect["claim"], "\n", (needs, "dim")),
-            )
+        for effect in (effect for effect in found if effect["kind"] == kind):
+            name = Text(effect["name"] + (" *" if effect["model"] else ""))
+            for p in effect["parameters"]:
+                name.append(f"\n  {p['name']}" + ("" if p["unit"] == "1" else f", {p['unit']}"), "dim")
+            needs = f"needs {', '.join(effect['needs']) or 'nothing'}"
+            table.add_row(name, Text.assemble(effect["claim"], "\n", (needs, "dim")))
     console.print(table)
     stars = "*: in the card's model. " if any(effect["model"] for effect in found) else ""
     console.print(f"{len(found)} effects. {stars}bayes-aero effects NAME explains one.", highlight=False)
@@ -272,7 +247,6 @@ def simulate(
     altitude: Annotated[float, typer.Option(help="At the start, m.")] = 5200.0,
     amplitude: Annotated[float, typer.Option(help="Factor on the inputs of a standard manoeuvre.")] = 1.0,
     model: Annotated[str, typer.Option(help="Card: a .toml file, or a shipped one by name.", metavar="CARD")] = "attas",
-    page: Annotated[bool, typer.Option("--page/--no-page", help="Write FILE.report.html, too.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
     json: terminal.JsonOption = False,
 ) -> None:
@@ -295,7 +269,7 @@ def simulate(
     asked = (manoeuvre, noise, noise_scale, seed, duration, dt, airspeed, altitude, amplitude)
     request = Request(parsed_effects(effect or [], known), *asked)
     with terminal.interruptible(lambda: "nothing was written; give the same command again"), terminal.bar("simulating"):
-        found, truth, failures = simulate_file(request, card, known, out, page=page)
+        found, truth = simulate_file(request, card, known, out)
     if json:
         terminal.print_json(truth)
     console, record = terminal.teller(quiet=json), found.record
@@ -307,7 +281,4 @@ def simulate(
         console.print(f"hidden effect: {name}, {', '.join(f'{p} = {x:g}' for p, x in values.items())} (SI)")
     for note in found.notes:
         console.print(f"! {note}")
-    for what, ending in (("truth", "truth.json"), *([("report", "report.html")] if page else [])):
-        console.print(f"The {what} is in {out}.{ending}", soft_wrap=True)
-    terminal.print_failures(console, failures)
-    terminal.exit_if_failed(failures)
+    console.print(f"The truth is in {out}.truth.json", soft_wrap=True)

@@ -1,4 +1,4 @@
-"""What all commands share: exit codes, options of their classes, the bar, JSON on stdout, options that are gone."""
+"""What all commands share: exit codes, options of their classes, the bar, JSON on stdout."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
-from bayes_aero.errors import InputError
 from bayes_aero.jobs.options import MAX_SEED, Options, ReadingOptions
 from bayes_aero.progress import Progress
 
@@ -35,6 +34,10 @@ INTERRUPTED = 130
 SUFFIXES = ".csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc"
 RECORDS = f"Flight records ({SUFFIXES}), or parts of them, FILE@FROM:TO in seconds"
 
+RecordsArgument = Annotated[list[Path], typer.Argument(help=f"{RECORDS}.")]
+ResultArgument = Annotated[
+    str, typer.Argument(help="Folder (or JSON file) that identify, fly or diagnose wrote.", metavar="RESULT")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else on stdout.")]
 SeedOption = Annotated[
     int, typer.Option(min=0, max=MAX_SEED, help="Same seed, same command, same machine: same numbers.")
@@ -83,10 +86,8 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
 
 @contextmanager
 def bar(first: str, over: float = 30.0) -> Iterator[Progress]:
-    """A bar with the time left on the terminal, silence elsewhere; tell it a stage and the share of it that is done.
-
-    Both times are the stage's; what is left is estimated from the last `over` seconds.
-    """
+    """A bar with the stage, its time and what is left by the last `over` seconds; silence where there is no
+    terminal."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with ProgressBar(
@@ -138,7 +139,6 @@ def print_json(content: Mapping[str, Any]) -> None:
 
 
 def print_failures(console: Console, failures: Sequence[str]) -> None:
-    """Parts of a job that failed unexpectedly."""
     for sentence in failures:
         console.print(f"✗ {sentence}", style="red", highlight=False, soft_wrap=True)
 
@@ -178,13 +178,9 @@ def conclude(
     failed: bool = False,
     doubtful: bool = False,
 ) -> None:
-    """Show what a job on records has found, faulty channels and disagreeing sensors first, and leave with its code.
-
-    `found` has `health`, `consistency` and, where they are not given, `failures`; `show` prints all else; `json` is the
-    file to print on stdout instead. `corrects`: the command takes known errors of sensors out by itself; `compared`:
-    the sensors were, else the fit answers whether they agree; `failed`: the result is of no use; `doubtful`: it is in
-    doubt whatever the records are.
-    """
+    """Show what a job has found, faulty channels and disagreeing sensors first (or the file `json`), and leave with its
+    code. `corrects`: it takes known errors of sensors out; `compared`: the sensors were; `failed`: the result is of no
+    use; `doubtful`: it is in doubt whatever the records are."""
     from bayes_aero.report.pages.parts import consistency_sentences
 
     failed_parts: Sequence[str] = found.failures if failures is None else failures
@@ -217,58 +213,16 @@ def interruptible(resume: Callable[[], str]) -> Iterator[None]:
         raise InterruptionError(resume()) from None
 
 
-def kept_stages(out: Path) -> Callable[[], str]:
-    """What a command that writes stage by stage has left in `out` since this call."""
-    began = time.time() - 1.0  # file systems round times
-
-    def told() -> str:
-        written = [
-            path.name
-            for path in (sorted(out.iterdir()) if out.is_dir() else [])
-            if path.suffix != ".part" and not path.name.startswith(".") and path.stat().st_mtime >= began
-        ]
-        if not written:
-            return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
-        return (
-            f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
-            "the same command repeats all stages"
-        )
-
-    return told
-
-
 @contextmanager
 def working(out: Path, first: str = "reading") -> Iterator[Progress]:
-    """The bar of a command that writes stage by stage into `out`; Ctrl-C says what is there."""
-    with interruptible(kept_stages(out)), bar(first) as tell:
+    """The bar of a command that writes stage by stage into `out`; Ctrl-C says what is kept."""
+    began = time.time() - 1.0  # file systems round times
+
+    def resume() -> str:
+        files = [path.name for path in sorted(out.glob("[!.]*")) if path.stat().st_mtime >= began]
+        if not files:
+            return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
+        return f"{out} has the stages that had finished ({', '.join(files)}); the same command repeats all stages"
+
+    with interruptible(resume), bar(first) as tell:
         yield tell
-
-
-# --- Options of the command line that are gone: one row each, told before the command line is parsed.
-
-GONE: tuple[tuple[str, str, str], ...] = (
-    (
-        "diagnose",
-        "--predictors/--no-predictors",
-        "predictors are no longer compared; use --no-test-points to leave out the manoeuvres that decide what is open",
-    ),
-    ("fly", "--drift", "run diagnose, which says whether a parameter changed, when and by how much"),
-    (
-        "identify",
-        "--approximate-gp",
-        "Gaussian processes are exact; give shorter parts of the records (FILE@FROM:TO) or a longer --resample",
-    ),
-    ("run", "--verify", "run the study again with another --out and compare the two summary.csv"),
-)
-"""Command, option (every spelling, "--one/--no-one"), and the rest of the sentence: what to use instead."""
-
-
-def refuse_gone(arguments: Sequence[str]) -> None:
-    """Raise `InputError` for an option that is gone, with what to use instead; `arguments`: the command first."""
-    command, *rest = arguments or ("",)
-    options = rest[: rest.index("--")] if "--" in rest else rest  # behind it are names of files
-    spelled = [argument.partition("=")[0] for argument in options]
-    for of, option, instead in GONE:
-        for given in option.split("/"):
-            if of == command and given in spelled:
-                raise InputError(f"{given} of {command} is gone: {instead}")

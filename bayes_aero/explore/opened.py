@@ -54,7 +54,6 @@ class OpenedResult(FinishedResult):
 
     @property
     def title(self) -> str:
-        """The command and the folder."""
         return f"{self.command}: {self.folder}"
 
     @property
@@ -69,7 +68,6 @@ class OpenedResult(FinishedResult):
         return tuple(said)
 
     def groups(self, added: tuple[str, ...] = ()) -> tuple[SliderGroup, ...]:
-        """The sliders, with those of the effects that are `added`."""
         found = self.identified
         if isinstance(found, IdentifiedLinear):
             return linear_groups(found, self.errors)
@@ -85,30 +83,23 @@ def open_result(given: str, card: str | None = None, folders: Sequence[Path] = (
     """Read the result in a folder or file, its card and its records, which may lie in `folders`."""
     result = read_finished(given, card)
     records = result.records("give its folder with --records", folders=folders)
-    with as_written(result.file):
-        numbers = _fitted_numbers(result)
-    return OpenedResult(
-        **vars(result), flown=records, **numbers, checks=record_checks(records, result.card, 0, seek=False)
-    )
-
-
-def _fitted_numbers(result: FinishedResult) -> dict[str, Any]:
-    """Standard errors, the residuals' autocorrelation counted, and departures of the initial states of output error."""
     told, departures = result.told, {}
-    if result.command == "identify":
-        found = {name: p["crb_corrected"] for name, p in told["mle"]["parameters"].items()}
-    elif result.command == "fly":
-        found = {name: p["sd_corrected"] for name, p in told["parameters"].items()}
-        if result.filtered:  # whose fit has no initial states
-            found |= {name: sd for name, (_, sd) in told["process_noise"]["estimates"].items()}
+    with as_written(result.file):
+        if result.command == "identify":
+            found = {name: p["crb_corrected"] for name, p in told["mle"]["parameters"].items()}
+        elif result.command == "fly":
+            found = {name: p["sd_corrected"] for name, p in told["parameters"].items()}
+            if result.filtered:  # whose fit has no initial states
+                found |= {name: sd for name, (_, sd) in told["process_noise"]["estimates"].items()}
+            else:
+                for manoeuvre, states in told["initial_states"].items():
+                    departures[manoeuvre] = {name: float(state["departure"]) for name, state in states.items()}
         else:
-            for manoeuvre, states in told["initial_states"].items():
-                departures[manoeuvre] = {name: float(state["departure"]) for name, state in states.items()}
-    else:
-        found = {name: move["sd_after"] for name, move in told["base_parameters"].items()}
-        found |= {name: p["sd"] for cause in told["causes"] for name, p in cause["parameters"].items()}
+            found = {name: move["sd_after"] for name, move in told["base_parameters"].items()}
+            found |= {name: p["sd"] for cause in told["causes"] for name, p in cause["parameters"].items()}
     errors = {name: float(x) for name, x in found.items() if x is not None and x > 0.0}
-    return {"errors": errors, "departures": departures}
+    checks = record_checks(records, result.card, 0, seek=False)
+    return OpenedResult(**vars(result), flown=records, errors=errors, departures=departures, checks=checks)
 
 
 # --- What is chosen on the page: values, effects that are off, effects that are added, and the model of it.
@@ -162,14 +153,10 @@ def flown_model(model: Model, choice: Choice) -> Model:
 
 def values_of(model: Model, values: Mapping[str, float], choice: Choice) -> dict[str, float]:
     """Of a `flown_model`, SI: chosen values, else the result's `values`, else where a fit begins; neutral where off."""
-    found = {p.name: choice.values.get(p.name, values.get(p.name, p.start)) for p in model.parameters}
-    for e in model.effects:
-        for p in e.parameters:
-            if e.name in choice.added and p.name not in choice.values:
-                found[p.name] = p.start
-            if e.name in choice.off:
-                found[p.name] = p.neutral
-    return found
+    found = {p.name: values.get(p.name, p.start) for p in model.parameters}
+    found |= {p.name: p.start for e in model.effects if e.name in choice.added for p in e.parameters}
+    found |= {name: x for name, x in choice.values.items() if name in found}
+    return found | {p.name: p.neutral for e in model.effects if e.name in choice.off for p in e.parameters}
 
 
 def with_added(model: Model, added: Sequence[str]) -> Model:
@@ -209,12 +196,10 @@ def export_chosen(
     opened: OpenedResult, choice: Choice, values: Mapping[str, float], form: str
 ) -> tuple[Path, list[str]]:
     """Write the chosen model into a new folder below the result; that folder and its files. What is there stays."""
-    found = chosen_model(opened, choice, values)
-    root = opened.folder / FOLDER
+    found, root = chosen_model(opened, choice, values), opened.folder / FOLDER
     names = (f"{found.name}_{form}{'' if k == 1 else f'_{k}'}" for k in count(1))
     target = next(root / name for name in names if not (root / name).exists() and not (root / name).is_symlink())
-    facts = write_export(found, form, target)
-    return target, facts["files"]
+    return target, write_export(found, form, target)["files"]
 
 
 # --- A linear system on the page: a group of sliders for each of its rows.
@@ -229,15 +214,13 @@ def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple
     """The parameters of each row, every parameter once, with the row that the card writes first; `errors` in SI."""
     rows, free = found.rows, {p.name: p for p in found.fitted.free}
     many = {name: found.fitted.names_of(name) for name in rows.by_manoeuvre}
-    titles = [f"rate of {name}" for name in rows.states] + [f"output {name}" for name in rows.outputs]
-    parts = [[term.parameter for term in row] for _, row in rows.rows]
-    titles, parts = [*titles, "delays"], [*parts, [parameter for _, parameter in rows.delays]]
-    groups, seen = [], set()
+    titles = [*(f"rate of {name}" for name in rows.states), *(f"output {name}" for name in rows.outputs), "delays"]
+    parts = [*([term.parameter for term in row] for _, row in rows.rows), [name for _, name in rows.delays]]
+    groups: list[SliderGroup] = []
     for title, part in zip(titles, parts, strict=True):
-        names = [n for parameter in part for n in many.get(parameter, [parameter]) if n in free and n not in seen]
-        seen |= {*names}
-        own = [free[n] for n in dict.fromkeys(names)]
-        sliders = tuple(slider(p, found.values[p.name], errors.get(p.name, 0.0), abs(p.start) or 1.0) for p in own)
+        names = dict.fromkeys(n for parameter in part for n in many.get(parameter, [parameter]) if n in free)
+        chosen = [free.pop(n) for n in names]
+        sliders = tuple(slider(p, found.values[p.name], errors.get(p.name, 0.0), abs(p.start) or 1.0) for p in chosen)
         if sliders:
             groups.append(SliderGroup(title, f"{title} of the linear system", False, sliders, switch=False))
     return tuple(groups)
@@ -336,7 +319,6 @@ class Simulator:
     """The manoeuvres of a result under its model and under models derived from it; what is prepared is kept."""
 
     def __init__(self, opened: OpenedResult) -> None:
-        """Join the records."""
         self.opened = opened
         self.card, _ = on_recorded_axes(opened.card, opened.flown, OF_AXIS, DERIVED)
         found = opened.identified
@@ -356,26 +338,21 @@ class Simulator:
 
     @property
     def manoeuvres(self) -> tuple[str, ...]:
-        """Names of the manoeuvres."""
         return self.flights.names
 
     def time(self, manoeuvre: int) -> Float[np.ndarray, " n"]:
-        """Time from the start of the record, s."""
         return self.flights.time[self.flights.manoeuvre == manoeuvre]
 
     def recorded(self, manoeuvre: int) -> dict[str, Float[np.ndarray, " n"]]:
-        """Recorded outputs and inputs."""
         own = self.flights.manoeuvre == manoeuvre
         return {name: np.asarray(self.flights.channels[name])[own] for name in (*self.outputs, *self.inputs)}
 
     def result(self, manoeuvre: int) -> Flown:
-        """The manoeuvre at the values of the result; flown once."""
         if manoeuvre not in self._results:
             self._results[manoeuvre] = self.fly(manoeuvre, Choice())
         return self._results[manoeuvre]
 
     def fly(self, manoeuvre: int, choice: Choice) -> Flown:
-        """The manoeuvre at the chosen values."""
         values = self._values(choice)
         theta = jnp.asarray(list(values.values()))
         flown, residuals, departure = self._prepared(manoeuvre, choice, values)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import errno
 import json
 import logging
-import math
 import socket
 import time as clock
 import webbrowser
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from importlib import resources
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 from bokeh import models
 from bokeh.core.properties import String
@@ -37,6 +37,7 @@ from bayes_aero.explore.opened import DRAWS, Choice, Flown, Simulator, export_ch
 from bayes_aero.flight.card import channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.jobs.finished import FORMS
+from bayes_aero.jobs.options import ExportForm
 from bayes_aero.report.phrases import axis_label, bracket, for_people
 from bayes_aero.report.plots import COLOURS, FARTHEST, Line, extremes, scale
 
@@ -54,7 +55,6 @@ class ExplorePage:
     """A document with its state."""
 
     def __init__(self, simulator: Simulator, document: Document) -> None:
-        """Fill the document with panels, and draw the first manoeuvre."""
         self.simulator, self.opened = simulator, simulator.opened
         self.units = {n: c.unit for n, c in STANDARD_CHANNELS.items()} | channel_units(self.opened.card)
         self.tolerances = {name: t.value for name, t in self.opened.card.tolerances.items()}
@@ -72,7 +72,7 @@ class ExplorePage:
         right = stacked([*self.coefficients, *self.inputs], "coefficients")
         left.tags = [self.exchange]
         self.exchange.on_change("asked", self._asked)
-        self.answer(Asked())
+        self.answer(Asked(0))
         facts = {
             "style": _part("page.css"),
             "script": _part("page.js"),
@@ -119,13 +119,14 @@ class ExplorePage:
             self.exchange.update(told=json.dumps({"id": number, "error": told}))
 
     def answer(self, asked: Asked) -> None:
-        """Fly, draw and tell what is asked."""
-        begin = clock.perf_counter()
+        began = clock.perf_counter()
         choice = self._choice(asked)
         before = self.simulator.result(asked.manoeuvre)
         now = before if choice == Choice() else self.simulator.fly(asked.manoeuvre, choice)
         time = self.simulator.time(asked.manoeuvre)
-        window = window_of(time, asked.window)
+        begin, end = asked.window or (-np.inf, np.inf)
+        window = (time >= begin) & (time <= end)
+        window = window if window.sum() > 1 else np.ones(len(time), bool)
         self._draw(asked, time, window, before, now)
         said, exported, failed = "", "", ""
         try:
@@ -147,16 +148,15 @@ class ExplorePage:
             "exported": exported,
             "fan": self.fanned is not None,
             "error": failed,
-            "seconds": clock.perf_counter() - begin,
+            "seconds": clock.perf_counter() - began,
         }
         self.exchange.update(told=json.dumps(told))
 
     def _choice(self, asked: Asked) -> Choice:
-        """What is asked, in SI."""
         if asked.manoeuvre >= len(self.simulator.manoeuvres):
             raise InputError(f"there is no manoeuvre {asked.manoeuvre + 1}; choose another one")
         known = {e.name for e in self.opened.addable(tuple(self.simulator.flights.channels))}
-        added = tuple(name for name in asked.added if name in known)
+        added = tuple(name for name in dict.fromkeys(asked.added) if name in known)
         groups = self.opened.groups(added)
         factors = {s.name: s.factor for group in groups for s in group.sliders}
         values = {name: x / factors[name] for name, x in asked.values.items() if name in factors}
@@ -202,32 +202,30 @@ class ExplorePage:
     def _scores(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> list[dict[str, Any]]:
         """RMS errors and shares inside the tolerances, in the units of the panels."""
         paths = scores(self.simulator.recorded(manoeuvre), before.simulated, now.simulated, window, self.tolerances)
-        formed = {name: now.coefficients[name] for name in now.formed}
-        changed = {name: now.formed[name] - y for name, y in now.coefficients.items() if name in now.formed}
-        first = {name: before.formed[name] - before.coefficients[name] for name in formed}
-        still = {name: np.zeros_like(y) for name, y in formed.items()}
-        found = []
-        for one in (*paths, *scores(still, first, changed, window, {})):
-            si = self.units.get(one.name, "1")
+        errors = [{name: x - flown.coefficients[name] for name, x in flown.formed.items()} for flown in (before, now)]
+        still = {name: np.zeros_like(y) for name, y in errors[1].items()}
+        rows = [*paths, *scores(still, errors[0], errors[1], window, {})]
+        for row in rows:
+            si = self.units.get(row["name"], "1")
             unit, factor = for_people(si)
-            shown = {"label": axis_label(one.name, si), "unit": bracket(unit)}
-            found.append(asdict(one) | shown | {"before": factor * one.before, "now": factor * one.now})
-        return found
+            row |= {"label": axis_label(row["name"], si), "unit": bracket(unit)}
+            row |= {key: factor * row[key] for key in ("before", "now")}
+        return rows
 
     def _gain(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> dict[str, Any]:
         """Change of the log likelihood of the trajectories; residuals as the fit left them, where it was one."""
         told, recorded = self.opened.told, self.simulator.recorded(manoeuvre)
         fitted = told.get("residual_sd", {}) if self.opened.departures else {}
-        names = [n for n in (fitted or self.simulator.outputs) if n in before.simulated and n != "altitude"]
-        sd = {n: fitted.get(n) or float(np.std(recorded[n] - before.simulated[n])) for n in names}
-        sd = {n: x for n, x in sd.items() if x > 0.0}
+        errors = []
+        for n in (n for n in (fitted or self.simulator.outputs) if n in before.simulated and n != "altitude"):
+            old, new = (recorded[n] - flown.simulated[n] for flown in (before, now))
+            if (sd := fitted.get(n) or float(np.std(old))) > 0.0:
+                errors.append((old[window] / sd, new[window] / sd))
         inflation = told.get("variance_inflation") or told.get("trajectories", {}).get("variance_inflation") or 1.0
-        return {"nats": gain(recorded, before.simulated, now.simulated, window, sd, inflation), "inflation": inflation}
+        return {"nats": gain(errors, inflation), "inflation": inflation}
 
 
 def page_of(simulator: Simulator) -> Callable[[Document], None]:
-    """What fills the document of each visitor."""
-
     def fill(document: Document) -> None:
         ExplorePage(simulator, document)
 
@@ -243,49 +241,24 @@ def _part(name: str) -> str:
 MOST_CHARACTERS = 100_000
 
 
-@dataclass(frozen=True)
-class Asked:
+class Asked(msgspec.Struct, frozen=True):
     """The state of the page's controls; values are in the units of the sliders, `window` in s."""
 
-    id: int = 0
-    manoeuvre: int = 0
+    id: int
+    manoeuvre: Annotated[int, msgspec.Meta(ge=0)] = 0
     window: tuple[float, float] | None = None
-    values: Mapping[str, float] = field(default_factory=dict)
+    values: dict[str, float] = {}
     off: tuple[str, ...] = ()
     added: tuple[str, ...] = ()
     fan: bool = False
-    export: str = ""
+    export: ExportForm | None = None
 
 
 def read_asked(text: str) -> Asked:
-    """The state from the browser's JSON."""
     try:
-        if len(text) > MOST_CHARACTERS:
-            raise ValueError("it is too long")
-        told = json.loads(text)
-        form = str(told["export"] or "")
-        if form and form not in FORMS:
-            raise ValueError(f"there is no form {form!r}")
-        window = told["window"]
-        return Asked(
-            int(told["id"]),
-            max(0, int(told["manoeuvre"])),
-            None if window is None else (_number(window[0]), _number(window[1])),
-            {str(name): _number(x) for name, x in told["values"].items()},
-            tuple(map(str, told["off"])),
-            tuple(dict.fromkeys(map(str, told["added"]))),
-            bool(told["fan"]),
-            form,
-        )
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as reason:
+        return msgspec.json.decode(text if len(text) <= MOST_CHARACTERS else "", type=Asked)
+    except (ValueError, RecursionError) as reason:
         raise InputError(f"the page sent what it never sends ({reason}); load it again") from None
-
-
-def _number(x: Any) -> float:
-    found = float(x)
-    if not math.isfinite(found):
-        raise ValueError(f"{x} is no finite number")
-    return found
 
 
 # --- How near a simulation is to the flight in a window of time.
@@ -293,51 +266,26 @@ def _number(x: Any) -> float:
 Series = Mapping[str, Float[np.ndarray, " n"]]
 
 
-@dataclass(frozen=True)
-class Score:
-    """One output in a window, SI: RMS error of the result and now; share inside the tolerance (None: it has none)."""
-
-    name: str
-    before: float
-    now: float
-    within_before: float | None = None
-    within: float | None = None
-
-
 def scores(
     recorded: Series, before: Series, now: Series, window: Bool[np.ndarray, " n"], tolerances: Mapping[str, float]
-) -> list[Score]:
-    """One for each output that is `now` there, over the samples of `window`."""
-    found = []
+) -> Iterator[dict[str, Any]]:
+    """RMS errors of the result and now over the samples of `window`, SI, and shares inside the tolerance, if any."""
     for name, y in now.items():
         old, new = (np.abs(recorded[name] - x)[window] for x in (before[name], y))
         band = tolerances.get(name)
+        rms = {"before": _rms(old), "now": _rms(new)}
         shares = (None, None) if band is None else (float(np.mean(old <= band)), float(np.mean(new <= band)))
-        found.append(Score(name, _rms(old), _rms(new), *shares))
-    return found
+        yield {"name": name, **rms, "within_before": shares[0], "within": shares[1]}
 
 
-def gain(
-    recorded: Series,
-    before: Series,
-    now: Series,
-    window: Bool[np.ndarray, " n"],
-    deviations: Mapping[str, float],
-    inflation: float,
-) -> float:
-    """Change of the log likelihood from the result to now, nats.
-
-    `deviations`: standard deviation of the normal residuals of each output that counts; `inflation`: samples that count
-    for one, because residuals are coloured.
+def gain(errors: Iterable[tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]], inflation: float) -> float:
+    """Change of the log likelihood from the result to now, nats, by the normal errors of both over their deviation;
+    `inflation`: samples that count for one, because residuals are coloured.
 
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, eq. 4.11, with a diagonal covariance.
     """
-    total = 0.0
-    for name, sd in deviations.items():
-        old, new = (((recorded[name] - x)[window] / sd) ** 2 for x in (before[name], now[name]))
-        total += 0.5 * float(np.sum(old) - np.sum(new))
-    return total / inflation
+    return 0.5 * sum(float(np.sum(old**2) - np.sum(new**2)) for old, new in errors) / inflation
 
 
 def _rms(x: Float[np.ndarray, " n"]) -> float:
@@ -358,7 +306,6 @@ class Shared:
     """What all panels have in common: the range of time, the cross-hair, and the source of what is flown now."""
 
     def __init__(self) -> None:
-        """Empty."""
         self.time = models.Range1d(start=0.0, end=1.0)
         self.cross = models.Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
         self.now = models.ColumnDataSource({}, name="now")
@@ -377,7 +324,6 @@ class TimePanel:
     What is flown now has one source for all panels, so that a step is one message to the browser."""
 
     def __init__(self, name: str, label: str, factor: float, shared: Shared, band: float | None) -> None:
-        """An empty panel."""
         self.name, self.label, self.factor = name, label, factor
         self.band = None if band is None else factor * band
         self.record = models.ColumnDataSource({"t": [], "y": [], "low": [], "high": []})
@@ -415,7 +361,6 @@ class TimePanel:
             f.add_tools(models.HoverTool(renderers=[line], mode="vline", tooltips=tips, line_policy="nearest"))
 
     def draw_record(self, time: Curve, y: Curve) -> None:
-        """The measurement, with its tolerance."""
         t, y = self._drawable(time, y)
         half = self.band or 0.0
         self.record.update(data={"t": t, "y": y, "low": y - half, "high": y + half})
@@ -425,7 +370,6 @@ class TimePanel:
         return dict(zip(columns, self._drawable(time, y), strict=True))
 
     def draw_fan(self, time: Curve, draws: Float[np.ndarray, "m n"]) -> None:
-        """Draws; none removes them."""
         lines = [self._drawable(time, y, MOST_FAN) for y in draws]
         self.fan.update(data={"xs": [t for t, _ in lines], "ys": [y for _, y in lines]})
 
@@ -445,7 +389,6 @@ class TimePanel:
 
 
 def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
-    """Panels below each other, the time axis below the last."""
     for view in views:
         last = view is views[-1]
         f: Any = view.figure
@@ -461,12 +404,6 @@ def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
             f.xaxis.axis_label = "time of the record [s]"
             f.min_height = LEAST + AXIS
     return column([view.figure for view in views], sizing_mode="stretch_both", spacing=0, name=name)
-
-
-def window_of(time: Curve, window: tuple[float, float] | None) -> Bool[np.ndarray, " n"]:
-    """Samples in a window of time, s; all, where there is none or it has fewer than two."""
-    inside = np.zeros(0, bool) if window is None else (time >= window[0]) & (time <= window[1])
-    return inside if inside.sum() > 1 else np.ones(len(time), bool)
 
 
 # --- The server of the page: this machine alone, nothing from a network.
@@ -494,15 +431,7 @@ class PageServer:
     """A running server; `url` is its address."""
 
     def __init__(self, fill: Callable[[Document], None], port: int = 0) -> None:
-        """Listen at once.
-
-        Args:
-            fill: makes the page of one visitor.
-            port: of this machine; 0: any free one.
-
-        Raises:
-            InputError: the port is taken or may not be used.
-        """
+        """Listen at once on a port of this machine, 0: any free one; `fill` makes the page of one visitor."""
         for name in ("bokeh", "tornado"):
             logging.getLogger(name).setLevel(logging.ERROR)
         settings.resources = "server"  # whatever the environment says: no content delivery network,
@@ -535,5 +464,4 @@ class PageServer:
             self.stop()
 
     def stop(self) -> None:
-        """Take no more requests."""
         self._server.stop(wait=False)

@@ -7,18 +7,17 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Comment, Element, indent, tostring
 
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import DefectError, InputError
-from bayes_aero.export.identified import Identified, about, meaning, unit
-from bayes_aero.export.program import Operand, Program
+from bayes_aero.export.identified import Identified, Operand, Program, about, meaning, unit
 from bayes_aero.physics.aircraft import GRAVITY, LATERAL, NAMES, Axis
 
 # --- Programs as functions of JSBSim: one XML element an operation. Source: JSBSim reference manual, ch. Functions.
@@ -37,35 +36,35 @@ LARGEST_EXPONENT = 700.0  # e to this is still a number
 Node = Element
 
 
-def value(x: float) -> Node:
-    """A number, to the last bit."""
-    node = Element("value")
-    node.text = repr(float(x))
+def element(tag: str, *content: Node | str, **attributes: str) -> Node:
+    """An element with others, or a text, in it."""
+    node = Element(tag, attributes)
+    node.extend(x for x in content if not isinstance(x, str))
+    node.text = "".join(x for x in content if isinstance(x, str)) or None
     return node
+
+
+def value(x: float) -> Node:
+    return element("value", repr(float(x)))
 
 
 def read(name: str) -> Node:
-    """The value of a property."""
-    node = Element("property")
-    node.text = name
-    return node
+    return element("property", name)
 
 
 def call(tag: str, *arguments: Node | float | str) -> Node:
     """An operation of JSBSim; numbers, and properties by name."""
-    node = Element(tag)
-    node.extend(read(x) if isinstance(x, str) else value(x) if isinstance(x, float | int) else x for x in arguments)
-    return node
+    given = (read(x) if isinstance(x, str) else value(x) if isinstance(x, float | int) else x for x in arguments)
+    return element(tag, *given)
 
 
-def named(tag: str, name: str, content: Node) -> Node:
-    """A function under a name, with its content."""
-    node = Element(tag, name=name)
-    if tag == "fcs_function":
-        SubElement(node, "function").append(content)
-    else:
-        node.append(content)
-    return node
+def function(name: str, content: Node) -> Node:
+    return element("function", content, name=name)
+
+
+def component(name: str, content: Node) -> Node:
+    """A function of a system, which it evaluates in every frame."""
+    return element("fcs_function", element("function", content), name=name)
 
 
 def _reciprocal_of_one_and(x: Node) -> Node:
@@ -105,11 +104,11 @@ def functions(
         content = composed(*arguments)
         if uses[step.name] > 1:
             name = f"{PREFIX}/{steps}/{step.name}"
-            found.append(named("function", name, content))
+            found.append(function(name, content))
             content = read(name)
         known[step.name] = content
     for name, x in program.outputs.items():
-        found.append(named("function", outputs[name], node(x)))
+        found.append(function(outputs[name], node(x)))
     return found
 
 
@@ -147,41 +146,37 @@ def aerodynamics_xml(found: Identified) -> str:
     root.append(Comment("\n" + "\n".join(re.sub("-{2,}", "-", line) for line in about(found)) + "\n"))
     program = found.program.giving({name: x for name, x in found.program.outputs.items() if name != "lag"})
     signals = program.inputs_of("signal")
-    root.extend(
-        named("function", f"{PREFIX}/state/{n}", _rest(read(_separated(n)))) for n in program.inputs_of("state")
-    )
+    root.extend(function(f"{PREFIX}/state/{n}", _rest(read(_separated(n)))) for n in program.inputs_of("state"))
     for name in (n for n in signals if PROPERTIES.get(n, ("", 1.0))[1] != 1.0):
         own, factor = PROPERTIES[name]
-        root.append(named("function", _signal(name), call("product", own, factor)))
+        root.append(function(_signal(name), call("product", own, factor)))
     root.extend(functions(program, _inputs(found, program), {name: _output(name) for name in program.outputs}))
     if "alpha_dot" in signals:
         slope = found.lift_slope
         root.extend(functions(slope, _inputs(found, slope), {"slope": SLOPE}, "slope"))
     for axis, content in _forces(found).items():
-        SubElement(root, "axis", name=axis).append(named("function", f"{PREFIX}/total/{axis}", content))
+        root.append(element("axis", function(f"{PREFIX}/total/{axis}", content), name=axis))
     return _text(root)
 
 
 def system_xml(found: Identified) -> str:
     """The system with parameters, inputs that JSBSim does not have, and the states, for the folder Systems."""
-    root = Element("system", name=f"{found.name}-states")
-    program = found.program
-    for name in program.inputs_of("parameter"):
-        SubElement(root, "property", value=repr(found.values[name])).text = f"{PREFIX}/parameter/{name}"
-    for name in dict.fromkeys((THRUST, *(_signal(n) for n in program.inputs_of("signal") if n not in PROPERTIES))):
-        SubElement(root, "property", value="0.0").text = name
-    channel = SubElement(root, "channel", name="states")
+    program, channel = found.program, element("channel", name="states")
     if "alpha_dot" in program.inputs_of("signal"):
         channel.extend(_alpha_dot(found))
     if found.lagged:
         [lag] = functions(program.giving({"lag": program.outputs["lag"]}), _inputs(found, program), {"lag": "lag"})
         decay = call("exp", call("quotient", call("product", -1.0, "simulation/dt"), *list(lag)))
-        channel.append(named("fcs_function", f"{PREFIX}/state/decay", decay))
+        channel.append(component(f"{PREFIX}/state/decay", decay))
         for point in found.points:
             name, static = _separated(point), _rest(read(_output(f"{point}_static")))
             left = call("product", read(f"{PREFIX}/state/decay"), call("difference", read(name), static))
-            channel.append(named("fcs_function", name, _first(static, call("sum", static, left))))
-    return _text(root)
+            channel.append(component(name, _first(static, call("sum", static, left))))
+    start = {f"{PREFIX}/parameter/{name}": repr(found.values[name]) for name in program.inputs_of("parameter")}
+    inputs = (THRUST, *(_signal(n) for n in program.inputs_of("signal") if n not in PROPERTIES))
+    start |= dict.fromkeys(inputs, "0.0")
+    properties = (element("property", name, value=x) for name, x in start.items())
+    return _text(element("system", *properties, channel, name=f"{found.name}-states"))
 
 
 def aircraft_xml(found: Identified) -> str:
@@ -191,38 +186,35 @@ def aircraft_xml(found: Identified) -> str:
     if Axis.LATERAL not in found.model.axes:
         point, engine = ((x, 0.0, z) for x, _, z in (a.reference_point, a.engine))
         a = replace(a, reference_point=point, engine=engine, Ixy=0.0, Iyz=0.0)
-    root = Element("fdm_config", name=found.name, version="2.0", release="ALPHA")
-    header = SubElement(root, "fileheader")
-    SubElement(header, "author").text = "bayes_aero"
-    SubElement(header, "description").text = found.title
-    metrics = SubElement(root, "metrics")
-    for name, size, measure in (
-        ("wingarea", a.wing_area, "M2"), ("wingspan", 2.0 * a.half_span, "M"), ("chord", a.chord, "M"),
-    ):  # fmt: skip
-        _number(metrics, name, size, measure)
-    for name, place in (("AERORP", a.reference_point), ("EYEPOINT", (0.0,) * 3), ("VRP", (0.0,) * 3)):
-        _location(metrics, place, name=name)
-    mass = SubElement(root, "mass_balance", negated_crossproduct_inertia="false")
-    # products in structural axes, of which x and z point the other way
+    origin, incline = (0.0, 0.0, 0.0), a.engine_inclination
+    sizes = {"wingarea": (a.wing_area, "M2"), "wingspan": (2.0 * a.half_span, "M"), "chord": (a.chord, "M")}
+    places = {"AERORP": a.reference_point, "EYEPOINT": origin, "VRP": origin}
+    # products of inertia in structural axes, of which x and z point the other way
     inertias = {"ixx": a.Ix, "iyy": a.Iy, "izz": a.Iz, "ixy": -a.Ixy, "ixz": a.Ixz, "iyz": -a.Iyz}
-    for name, size in inertias.items():
-        _number(mass, name, size / (SLUG * FOOT**2), "SLUG*FT2")  # JSBSim's own factor has four digits
-    _number(mass, "emptywt", a.mass * GRAVITY / POUND, "LBS")
-    _location(mass, (0.0,) * 3, name="CG")
-    SubElement(root, "ground_reactions")
-    force = SubElement(SubElement(root, "external_reactions"), "force", name="thrust", frame="BODY")
-    force.append(call("function", call("quotient", THRUST, POUND)))
-    _location(force, a.engine)
-    direction = SubElement(force, "direction")
-    for name, x in zip("xyz", (math.cos(a.engine_inclination), 0.0, -math.sin(a.engine_inclination)), strict=True):
-        SubElement(direction, name).text = repr(x)
-    SubElement(root, "system", file=f"{found.name}-states")
-    SubElement(root, "aerodynamics", file=f"{found.name}-aerodynamics.xml")
-    return _text(root)
+    masses = {name: (x / (SLUG * FOOT**2), "SLUG*FT2") for name, x in inertias.items()}  # JSBSim's has four digits
+    masses["emptywt"] = (a.mass * GRAVITY / POUND, "LBS")
+    metrics, balance = (
+        [element(name, repr(float(x)), unit=unit) for name, (x, unit) in table.items()] for table in (sizes, masses)
+    )
+    metrics += [_location(place, name=name) for name, place in places.items()]
+    balance.append(_location(origin, name="CG"))
+    direction = element("direction", *_coordinates((math.cos(incline), 0.0, -math.sin(incline))))
+    thrust = element("function", call("quotient", THRUST, POUND))
+    parts = [
+        element("fileheader", element("author", "bayes_aero"), element("description", found.title)),
+        element("metrics", *metrics),
+        element("mass_balance", *balance, negated_crossproduct_inertia="false"),
+        element("ground_reactions"),
+        element(
+            "external_reactions", element("force", thrust, _location(a.engine), direction, name="thrust", frame="BODY")
+        ),
+        element("system", file=f"{found.name}-states"),
+        element("aerodynamics", file=f"{found.name}-aerodynamics.xml"),
+    ]
+    return _text(element("fdm_config", *parts, name=found.name, version="2.0", release="ALPHA"))
 
 
 def _inputs(found: Identified, program: Program) -> dict[str, Node]:
-    """How each input of a program is read."""
     inputs = {f"parameter.{n}": read(f"{PREFIX}/parameter/{n}") for n in program.inputs_of("parameter")}
     inputs |= {f"aircraft.{n}": value(found.inputs[f"aircraft.{n}"]) for n in program.inputs_of("aircraft")}
     inputs |= {f"state.{n}": read(f"{PREFIX}/state/{n}") for n in program.inputs_of("state")}
@@ -247,22 +239,19 @@ def _forces(found: Identified) -> dict[str, Node]:
     """Forces (lbf) and moments (lbf ft, about the reference point) by axis of the body."""
     a, has = found.actual_aircraft, set(found.exported.coefficients)
     area = a.wing_area / FOOT**2
-    C = {name: read(_output(name)) for name in has}
+    lift, drag, Cm, CY, Cl, Cn = (read(_output(name)) for name in (*NAMES, *LATERAL))
     sin, cos = (call(f, "aero/alpha-rad") for f in ("sin", "cos"))
-    found_axes: dict[str, tuple[Node, float]] = {}
-    if "CL" in has:
-        lift, drag = C["CL"], C["CD"]
-        found_axes["X"] = call("difference", call("product", lift, sin), call("product", drag, cos)), area
-        down = call("sum", call("product", lift, cos), call("product", drag, sin))
-        found_axes["Z"] = call("product", -1.0, down), area
-        found_axes["PITCH"] = C["Cm"], area * a.chord / FOOT
-    if "CY" in has:
-        found_axes["Y"] = C["CY"], area
-        found_axes["ROLL"] = C["Cl"], area * a.moment_length / FOOT
-        found_axes["YAW"] = C["Cn"], area * a.moment_length / FOOT
-    order = ("X", "Y", "Z", "ROLL", "PITCH", "YAW")
-    pressure = "aero/qbar-psf"
-    return {n: call("product", pressure, found_axes[n][1], found_axes[n][0]) for n in order if n in found_axes}
+    forward = call("difference", call("product", lift, sin), call("product", drag, cos))
+    up = call("sum", call("product", lift, cos), call("product", drag, sin))
+    axes = {
+        "X": ("CL", forward, area),
+        "Y": ("CY", CY, area),
+        "Z": ("CL", call("product", -1.0, up), area),
+        "ROLL": ("CY", Cl, area * a.moment_length / FOOT),
+        "PITCH": ("CL", Cm, area * a.chord / FOOT),
+        "YAW": ("CY", Cn, area * a.moment_length / FOOT),
+    }
+    return {n: call("product", "aero/qbar-psf", size, x) for n, (of, x, size) in axes.items() if of in has}
 
 
 def _alpha_dot(found: Identified) -> list[Node]:
@@ -286,7 +275,7 @@ def _alpha_dot(found: Identified) -> list[Node]:
         solved: _first(read(now), call("sum", read(used), step)),
         used: _first(read(now), ahead),
     }
-    return [named("fcs_function", name, content) for name, content in contents.items()]
+    return [component(name, content) for name, content in contents.items()]
 
 
 def _separated(point: str) -> str:
@@ -299,20 +288,18 @@ def _rest(x: Node) -> Node:
 
 
 def _first(begin: Node, later: Node) -> Node:
-    """`begin` in the first frame, then `later`."""
     limit = call("product", FIRST_FRAMES, "simulation/dt")
     return call("ifthen", call("le", "simulation/sim-time-sec", limit), begin, later)
 
 
-def _number(parent: Node, name: str, size: float, measure: str) -> None:
-    SubElement(parent, name, unit=measure).text = repr(float(size))
+def _coordinates(place: Sequence[float]) -> list[Node]:
+    return [element(name, repr(float(x))) for name, x in zip("xyz", place, strict=True)]
 
 
-def _location(parent: Node, place: tuple, **names: str) -> None:
+def _location(place: Sequence[float], **names: str) -> Node:
     """A position of the body from the centre of gravity, in structural axes."""
-    node = SubElement(parent, "location", {"unit": "M", **names})
-    for name, x in zip("xyz", (-place[0], place[1], -place[2]), strict=True):
-        SubElement(node, name).text = repr(float(x) + 0.0)
+    x, y, z = place
+    return element("location", *_coordinates((0.0 - x, y + 0.0, 0.0 - z)), unit="M", **names)
 
 
 def _text(root: Node) -> str:

@@ -20,8 +20,7 @@ from bayes_aero.atomic_write import write_whole
 from bayes_aero.effect import Example, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.export.identified import Identified, about, meaning, unit
-from bayes_aero.export.program import Operand, Program, terms
+from bayes_aero.export.identified import Identified, Operand, Program, about, meaning, terms, unit
 from bayes_aero.model.model import Model
 
 ACCURACY = 1e-4  # of a table's range, of linear interpolation along each axis
@@ -47,7 +46,6 @@ class Gridded:
     error: float = 0.0
 
     def at(self, axes: Axes, inputs: Mapping[str, Any]) -> Float[np.ndarray, "*n"]:
-        """Its values over `axes`, with these `Identified.inputs`."""
         grid = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True)) if axes else {}
         given = dict(inputs) | {f"{kind}.{name}": x for name, x in grid.items() for kind in ("signal", "state")}
         summands = self.program.evaluated(given)

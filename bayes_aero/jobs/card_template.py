@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.errors import DefectError, InputError
-from bayes_aero.flight.card import ATMOSPHERE, RULES, UNFILLED, parse_card, parse_table
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import STANDARD_CHANNELS, split_heading
 from bayes_aero.flight.health import noise_of, quantum
-from bayes_aero.flight.reading import MIN_SAMPLES, RawColumn, read_raw, repeats
-from bayes_aero.flight.record import parts_of
+from bayes_aero.flight.reading import MIN_SAMPLES, RawColumn, read_raw
 from bayes_aero.jobs.column_inference import Guess, guessed
 from bayes_aero.jobs.store import picked, provenance, sha256_of
 from bayes_aero.physics.aircraft import AIRCRAFT_KEYS, FORMED_FROM, REQUIRED, Axis
@@ -31,7 +29,6 @@ LATERAL = ("p", "r")
 HELD = (*LATERAL, "density", "thrust")  # may be stated as constants
 LEVEL = {"phi": "deg", "beta": "deg", "ay": "m/s^2"}  # the flight path's, zero where wings stay level; in this unit
 STILL = np.deg2rad(0.5)  # rad/s of roll and yaw rate, in the mean square
-SPOOL = re.compile(r"(?<![A-Za-z0-9])N[123](?![0-9])", re.IGNORECASE)  # a heading's word for the speed of a spool
 KINEMATIC = ("theta", "phi", "beta", "ay", "altitude")
 
 
@@ -41,10 +38,8 @@ class Todo(str):
     key: str
     what: str
 
-    @classmethod
-    def of(cls, key: str, entry: str, what: str) -> Todo:
-        """The line of an entry."""
-        line = cls(f"{key} = {entry} {comment(what)}")
+    def __new__(cls, key: str, entry: str, what: str) -> Todo:
+        line = super().__new__(cls, f"{key} = {entry} {comment(what)}")
         line.key, line.what = key, what
         return line
 
@@ -59,20 +54,12 @@ class Starter:
     unknown: list[RawColumn]
 
     @property
-    def parts(self) -> int:
-        """Parts of the file between gaps in time."""
-        time = self.found["time"].si if "time" in self.found and not self.doubt("time") else np.zeros(1)
-        again = repeats(time, (guess.values for guess in self.found.values() if len(guess.values) == len(time)))
-        return sum(end - begin >= MIN_SAMPLES for begin, end in parts_of(time[~again]))
-
-    @property
     def blind(self) -> tuple[str, ...]:
         """Accelerations that were not found: coefficients cannot be formed without them."""
         return tuple(n for n in ACCELERATIONS if n not in self.found or self.doubt(n))
 
     @property
-    def told(self) -> dict[str, Any]:
-        """What was guessed, as plain data."""
+    def facts(self) -> dict[str, Any]:
         channels = {
             name: {"place": g.column.place, **picked(g, "unit", "sign", "evidence"), "doubt": self.doubt(name) or None}
             for name, g in self.found.items()
@@ -86,7 +73,7 @@ class Starter:
 
 
 def starter_card(path: Path) -> Starter:
-    """Guess from a record's columns; `DefectError` where the card would not be one."""
+    """Guess from a record's columns."""
     raw = read_raw(path)
     longest = max((len(c.values) for c in raw.columns if c.values is not None), default=0)
     if longest < MIN_SAMPLES:
@@ -99,7 +86,12 @@ def starter_card(path: Path) -> Starter:
         f"title = {_text('the aircraft of ' + path.stem)}",
         'source = "starter card; state where the constants come from"',
         "",
-        *aircraft_block(),
+        "[aircraft]",
+        *(
+            Todo(key, '"TODO"', f'{what}; write "... {AIRCRAFT_KEYS[key]}", or another unit of the kind')
+            for key, what in MEANING.items()
+        ),
+        OPTIONAL,
         "",
         *channels_block(found, unknown, raw.columns),
         "",
@@ -109,13 +101,10 @@ def starter_card(path: Path) -> Starter:
         *model_block(found, "mach" in found or "mach" in _derivable(found)),
     ]
     todo = [(line.key, line.what) for line in lines if isinstance(line, Todo)]
-    text = "\n".join(lines) + "\n"
-    read_back(text, path.name)
-    return Starter(text, todo, found, unknown)
+    return Starter("\n".join(lines) + "\n", todo, found, unknown)
 
 
 def _text(words: str) -> str:
-    """A TOML string on one line."""
     return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -137,7 +126,7 @@ def channels_block(
         entry = f"{{ {_place(guess.column)}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
         doubt, said = _implausible(name, guess), f"guess: {guess.evidence}; {_range(guess.values)}"
         if not doubt:
-            yield Todo.of(name, entry, said) if not guess.unit else f"{name} = {entry} {comment(said)}"
+            yield Todo(name, entry, said) if not guess.unit else f"{name} = {entry} {comment(said)}"
             continue
         yield comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
         yield f"# {name} = {entry}"
@@ -152,11 +141,8 @@ def channels_block(
         if column.values is None:
             yield comment(f"{column.place}: no numbers")
             continue
-        said = column.unit or (split_heading(column.label)[1] if column.label else None) or "?"
-        if said == "?" and column.label is not None and SPOOL.search(column.label):  # an engine speed, by its size
-            size = float(np.nanmax(np.abs(column.values), initial=0.0))
-            said = "rpm" if size > 200.0 else "%" if size > 2.0 else "1"
-        unit = _text(canonical(said) or said)
+        stated = column.unit or (split_heading(column.label)[1] if column.label else None) or "?"
+        unit = _text(canonical(stated) or stated)
         yield f"# NAME = {{ {_place(column)}, unit = {unit}, required = false }} # {_range(column.values)}"
     if headless:
         yield "# The file has no header, so nothing can be guessed: say which column is what."
@@ -177,7 +163,7 @@ def _absent(name: str, place: str, why: str = "was not found in the file") -> st
     if name in ACCELERATIONS:
         said = f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:"
         return f'{comment(said)}\n# {name} = {{ {place} = "...", unit = "{unit}" }}'
-    return Todo.of(name, f'{{ {place} = "TODO", unit = "{unit}" }}', f"{what}; {why}")
+    return Todo(name, f'{{ {place} = "TODO", unit = "{unit}" }}', f"{what}; {why}")
 
 
 def _implausible(name: str, guess: Guess) -> str:
@@ -191,23 +177,23 @@ def _implausible(name: str, guess: Guess) -> str:
 
 
 def _taken(found: Mapping[str, Guess]) -> set[str]:
-    """Channels whose guess stands on the card."""
     return {name for name, guess in found.items() if not _implausible(name, guess)}
+
+
+SUMS = {
+    "thrust": 'thrust = ["thrust_left", "thrust_right"]',
+    "elevator": "elevator = { elevator_left = 0.5, elevator_right = 0.5 } # the mean of both",
+    "elevon": "elevator = { elevon_left = 0.5, elevon_right = 0.5 } # guess: the mean of the elevons",
+    "aileron": "aileron = { aileron_right = 0.5, aileron_left = -0.5 } # guess: down is positive on either side",
+}
 
 
 def sums_block(found: Mapping[str, Guess]) -> Iterator[str]:
     """Lines of `[sums]`: what the left and the right one make together."""
-    lines = []
-    if _both(found, "thrust"):
-        lines.append('thrust = ["thrust_left", "thrust_right"]')
-    if _both(found, "elevator"):
-        lines.append("elevator = { elevator_left = 0.5, elevator_right = 0.5 } # the mean of both")
-    elif _both(found, "elevon"):
-        lines.append("elevator = { elevon_left = 0.5, elevon_right = 0.5 } # guess: the mean of the elevons")
-    if _both(found, "aileron"):
-        lines.append("aileron = { aileron_right = 0.5, aileron_left = -0.5 } # guess: down is positive on either side")
-    if lines:
-        yield from ("[sums]", *lines, "")
+    halves = [name for name in SUMS if _both(found, name) and not (name == "elevon" and "elevator" in found)]
+    halves = [name for name in halves if not (name == "elevon" and "elevator" in halves)]
+    if halves:
+        yield from ("[sums]", *(SUMS[name] for name in halves), "")
 
 
 def _both(found: Mapping[str, Guess], name: str) -> bool:
@@ -218,10 +204,8 @@ def _both(found: Mapping[str, Guess], name: str) -> bool:
 def _derivable(found: Mapping[str, Guess]) -> dict[str, str]:
     """Channels that are not in the file and can be formed from it, each by the best rule."""
     have = _taken(found)
-    best = {
-        name: next((rule for rule, needs in rules.items() if set(needs) <= have), None) for name, rules in RULES.items()
-    }
-    return {name: rule for name, rule in best.items() if rule is not None and name not in have}
+    formed = {n: [rule for rule, needs in rules.items() if set(needs) <= have] for n, rules in RULES.items()}
+    return {name: rules[0] for name, rules in formed.items() if rules and name not in have}
 
 
 def constants_block(found: Mapping[str, Guess]) -> Iterator[str]:
@@ -245,19 +229,13 @@ def constants_block(found: Mapping[str, Guess]) -> Iterator[str]:
         yield f"# Thrust may be read off a table over {engine} instead; see [tables.NAME] in the reference of the card."
     if "density" not in found and "density" not in derived:
         what = 'of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found'
-        lines.append(Todo.of("density", '"TODO"', what))
+        lines.append(Todo("density", '"TODO"', what))
     if "thrust" not in found and not _taken(found) >= {"thrust_left", "thrust_right"}:
-        sides = [name for name in ("thrust_left", "thrust_right") if name in found]
-        was = (
-            "was not found in the file",
-            f"only {sides[0]} was" if sides else "",
-            "both sides were found, but not taken",
-        )
-        what = f'total net thrust, e.g. "2500 N"; {was[len(sides)]}. Drag is as good as this'
-        lines.append(Todo.of("thrust", '"TODO"', what))
-    lines += [
-        f'{name} = "0 rad/s" # guess: found under no heading, taken as zero' for name in LATERAL if name not in found
-    ]
+        sides = " and ".join(name for name in ("thrust_left", "thrust_right") if name in found)
+        was = f"only {sides} was, or not taken" if sides else "was not found in the file"
+        lines.append(Todo("thrust", '"TODO"', f'total net thrust, e.g. "2500 N"; {was}. Drag is as good as this'))
+    zero = '"0 rad/s" # guess: found under no heading, taken as zero'
+    lines += [f"{name} = {zero}" for name in LATERAL if name not in found]
     level = [name for name in LEVEL if name not in found]
     if level and "theta" in found and "altitude" in found:  # the flight path needs them
         if all(np.nanstd(found[name].si) < STILL for name in LATERAL if name in found):
@@ -285,7 +263,7 @@ def sensors_block(found: Mapping[str, Guess]) -> Iterator[str]:
     yield ""
 
 
-# --- The aircraft's constants on a starter card: nothing of them can be read off a record.
+# --- The aircraft's constants: nothing of them can be read off a record.
 
 MEANING = {
     "mass": "of the flight, with fuel and crew", "Ix": "moment of inertia about the roll axis",
@@ -294,59 +272,19 @@ MEANING = {
     "chord": "mean aerodynamic chord", "span": "of the wing, from tip to tip",
     "tail_arm": "from the centre of gravity to the tailplane's quarter chord",
 }  # fmt: skip
-POSITION = '["0 m", "0 m", "0 m"]'
-PLACES = {
-    "reference_point": "that Cm is referred to, if it is not the centre of gravity",
-    "accelerometer": "where ax and az are measured",
-    "engine": "where the total thrust acts",
-}
+OPTIONAL = """\
+# aspect_ratio = 7.0 # left out, it is span squared over wing area
+# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero.
+# reference_point = ["0 m", "0 m", "0 m"] # that Cm is referred to, if it is not the centre of gravity
+# accelerometer = ["0 m", "0 m", "0 m"] # where ax and az are measured
+# engine = ["0 m", "0 m", "0 m"] # where the total thrust acts
+# lateral_length = "10 m" # of rolling and yawing moment; left out, it is the span
+# lateral_rate_length = "5 m" # l in p l/V and r l/V; left out, it is half the span: p b/2V
+# engine_arm = "3 m" # of a left and a right engine from the plane of symmetry
+# engine_inclination = "0 deg" # of the thrust line, nose up"""
 
 
-def aircraft_block() -> Iterator[str]:
-    """Lines of `[aircraft]`: what is needed as TODO with its unit, what is optional as a comment."""
-    yield "[aircraft]"
-    for key, meaning in MEANING.items():
-        yield Todo.of(key, '"TODO"', f'{meaning}; write "... {AIRCRAFT_KEYS[key]}", or another unit of the kind')
-    yield "# aspect_ratio = 7.0 # left out, it is span squared over wing area"
-    yield "# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero."
-    for key, meaning in PLACES.items():
-        yield f"# {key} = {POSITION} # {meaning}"
-    yield '# lateral_length = "10 m" # of rolling and yawing moment; left out, it is the span'
-    yield '# lateral_rate_length = "5 m" # l in p l/V and r l/V; left out, it is half the span: p b/2V'
-    yield '# engine_arm = "3 m" # of a left and a right engine from the plane of symmetry'
-    yield '# engine_inclination = "0 deg" # of the thrust line, nose up'
-
-
-# --- A starter card is read back by the card's own parser before it is written: what cannot be parsed is never a
-# file.
-
-
-def read_back(text: str, record: str) -> None:
-    """Parse a starter card with something plausible in place of every TODO; `DefectError` if it is no card."""
-    units = {"aircraft": AIRCRAFT_KEYS, "constants": {name: c.unit for name, c in STANDARD_CHANNELS.items()}}
-
-    def filled(given: Any, unit: str) -> Any:
-        if isinstance(given, dict):  # a channel
-            return {key: (1 if key == "column" else "1") if x == UNFILLED else x for key, x in given.items()}
-        return given if given != UNFILLED else 1.0 if unit == "1" else f"1 {unit}"
-
-    try:
-        table = parse_table(text.encode(), "of a starter")
-        table = {**table, "aircraft": {**table["aircraft"], "Ixz": "0 kg m^2"}}  # zero, as of some body
-        for section, entries in table.items():
-            if isinstance(entries, dict):
-                known = units.get(section, {})
-                table[section] = {key: filled(value, known.get(key, "1")) for key, value in entries.items()}
-        parse_card(table, "starter", "of a starter")
-    except InputError as reason:
-        raise DefectError(
-            f"the starter card of {record} was not written, for the program could not read it back ({reason})",
-            "write the card by hand (docs/reference/card.md explains every key)",
-        ) from reason
-
-
-# --- The section of a starter card that names the model's effects, those of a stall where the record seems to hold
-# one.
+# --- The section that names the model's effects, those of a stall where the record seems to hold one.
 
 ATTACHED = (
     "attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
@@ -370,7 +308,6 @@ STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a s
 
 
 def comment(words: str) -> str:
-    """A TOML comment on one line."""
     return "# " + " ".join("".join(c if c.isprintable() else " " for c in words).split())
 
 
@@ -384,41 +321,37 @@ def has_lateral(found: Mapping[str, Guess]) -> bool:
 def model_block(found: Mapping[str, Guess], mach: bool) -> Iterator[str]:
     """Lines of `[model]`: the demo aircraft's effects, as far as the record can tell them; `mach`: it is known."""
     reached = float(found["alpha"].si.max()) if "alpha" in found else 0.0
-    stalled = reached > STALLED
-    lateral, mark = has_lateral(found), ""
+    lateral, stall = has_lateral(found), "" if reached > STALLED else "# "
+    rolls = lateral and float(np.nanstd(found["p"].si)) > ROLLS
+    mark = "" if rolls or not lateral else "# "
     yield "# bayes-aero effects lists all; diagnose looks for those that are missing."
     yield "[model]"
     if lateral:
-        moves = float(np.nanstd(found["p"].si)) > ROLLS
-        mark = "" if moves else "# "
-        yield comment(f"guess: the aircraft {'rolls' if moves else 'hardly rolls'} in this record:")
+        yield f"# guess: the aircraft {'rolls' if rolls else 'hardly rolls'} in this record:"
         yield f'{mark}axes = ["{Axis.LONGITUDINAL}", "{Axis.LATERAL}"]'
     yield "effects = ["
     yield f'  "{ATTACHED[0]}",'
     spread = {n: float(np.ptp(found[n].si)) for n in ("mach", "airspeed") if n in found}
     # Whether a lift slope over Mach number can be told from one over nothing.
     moves = mach and spread.get("mach", spread.get("airspeed", 0.0) / SOUND) > MACH_MOVES
-    remark = "needs the Mach number" if not mach else "" if moves else "the Mach number hardly moves in this record"
-    yield ("" if moves else "# ") + '  "mach_lift",' + (f" # {remark}" if remark else "")
+    remark = "the Mach number hardly moves in this record" if mach else "needs the Mach number"
+    yield '  "mach_lift",' if moves else f'#   "mach_lift", # {remark}'
     yield from (f'  "{name}",' for name in ATTACHED[1:])
-    said = "alpha was not found, so nobody knows whether a stall is in the record; if one is:"
-    yield comment(
-        said
-        if "alpha" not in found
-        else f"guess: alpha reaches {np.rad2deg(reached):.3g} deg, {'beyond' if stalled else 'not'} "
-        f"{np.rad2deg(STALLED):.0f} deg, so {'a' if stalled else 'no'} stall is in the record:"
-    )
-    for name in STALL:
-        yield ("" if stalled else "# ") + f'  "{name}",' + REMARKS.get(name, "")
+    if "alpha" in found:
+        beyond, holds = ("not", "no") if stall else ("beyond", "a")
+        yield (
+            f"# guess: alpha reaches {np.rad2deg(reached):.3g} deg, {beyond} {np.rad2deg(STALLED):.0f} deg, so {holds} "
+            "stall is in the record:"
+        )
+    else:
+        yield "# alpha was not found, so nobody knows whether a stall is in the record; if one is:"
+    yield from (f'{stall}  "{name}",{REMARKS.get(name, "")}' for name in STALL)
     if lateral:
         yield "# Side force, rolling and yawing moment, with the axes above:"
         yield from (f'{mark}  "{name}",' for name in LATERAL_EFFECTS)
-        yield from (f'{mark if stalled else "# "}  "{name}",' for name in WINGS)
+        yield from (f'{mark or stall}  "{name}",' for name in WINGS)
     yield "]"
-    yield ("" if stalled else "# ") + "fixed = { tau1 = 0.0 } # quasi-steady"
-
-
-# --- The page of a starter card, beside it.
+    yield f"{stall}fixed = {{ tau1 = 0.0 }} # quasi-steady"
 
 
 def put_starter_page(starter: Starter, record: Path, card: Path) -> tuple[Path, tuple[str, ...]]:

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +14,8 @@ from bayes_aero.effect import Effect
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.jobs.store import picked, provenance, sha256_of, writable, write_json
-from bayes_aero.model.model import own_effects
-from bayes_aero.parameter import Parameter
+from bayes_aero.jobs.store import picked, provenance, sha256_of, write_json
+from bayes_aero.model.model import effect_named, own_effects
 from bayes_aero.units import quantity_to_si
 
 if TYPE_CHECKING:  # what computes and draws is heavy, and a study reads this module
@@ -25,23 +23,11 @@ if TYPE_CHECKING:  # what computes and draws is heavy, and a study reads this mo
     from bayes_aero.simulate.demo import Request
     from bayes_aero.simulate.injection import Synthetic
 
-WORDS = 3  # effects that an unknown name is taken to mean
-
 
 def known_effects(card: Card | None = None) -> dict[str, Effect]:
     """The catalogue, and the effects of the card's own files, in alphabetical order."""
     own = own_effects(card.effect_files) if card is not None else {}
     return dict(sorted((CATALOGUE | own).items()))
-
-
-def effect_named(name: str, among: Mapping[str, Effect]) -> Effect:
-    """One effect; an unknown name is reported with those that look like it."""
-    if name in among:
-        return among[name]
-    close = get_close_matches(name, among, n=WORDS, cutoff=0.5)
-    close = close or [other for other in among if name.casefold() in other][:WORDS]
-    hint = f"did you mean {' or '.join(close)}?" if close else "bayes-aero effects lists them all"
-    raise InputError(f"there is no effect {name!r}; {hint}")
 
 
 def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
@@ -75,29 +61,6 @@ def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
         "source": effect.source,
         "model": None if card is None else effect.name in card.effects,
     }
-
-
-def write_effects_page(
-    found: Sequence[Mapping[str, Any]], schema: str, card: Card | None, out: Path
-) -> tuple[str, ...]:
-    """Write effects.json, report.html and its picture into `out`; a sentence on what of the page cannot be made."""
-    from bayes_aero.report.figures.posterior import channels_needed
-    from bayes_aero.report.page import Gallery, Report, put_page
-    from bayes_aero.report.pages.check import effects_page, picture_words
-    from bayes_aero.report.style import save
-
-    writable(out)
-    write_json({"schema": schema, "effects": list(found)}, out / "effects.json")
-
-    def page() -> Report:
-        pictures = ()
-        if len(found) > 1:  # one effect by itself has none
-            (out / "figures").mkdir(exist_ok=True)
-            drawn = save(channels_needed(found), out / "figures" / "channels.png")
-            pictures = Gallery({"channels": drawn}, {"channels": picture_words(found)})("channels")
-        return effects_page(found, provenance(card, [], None, {}), None if card is None else card.title, pictures)
-
-    return put_page(page, out)
 
 
 # --- An effect file of the terms that a diagnosis found, for a card to name.
@@ -156,35 +119,18 @@ def write_effects(terms: Sequence[FoundTerm], records: Sequence[str], path: Path
 
 
 def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
-    """Its text."""
     told = re.sub(r"[^\w.@:+ -]", "_", " and ".join(records))  # a name becomes part of a program
     code = " ".join(one.term.code or "" for one in terms)
     parts = [HEAD.format(records=told, imports="".join(line for used, line in IMPORTED.items() if used in code))]
     for one in terms:
         plain = one.term.name.lower().replace("(1 - x)", "separated").replace("^", "").replace("+", "plus")
-        slug = re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
-        parts.append(
-            TERM.format(
-                name=f"{one.coefficient.lower()}_{slug}",
-                constant=f"{one.coefficient.upper()}_{slug.upper()}",
-                coefficient=one.coefficient,
-                parameter=f"{one.coefficient}_{slug}",
-                term=one.term.name,
-                unit=one.term.unit,
-                code=one.term.code,
-                channels=one.term.channels,
-                records=told,
-                size=one.size[0],
-                sd=one.size[1],
-                least=_digits(one.least),
-                largest=_digits(LARGEST * max(abs(one.size[0]), one.least)),
-            )
-        )
+        name, (size, sd) = f"{one.coefficient}_{re.sub(r'[^a-z0-9]+', '_', plain).strip('_')}", one.size
+        largest = LARGEST * max(abs(size), one.least)
+        names = {"name": name.lower(), "constant": name.upper(), "parameter": name, "coefficient": one.coefficient}
+        about = {"term": one.term.name, "unit": one.term.unit, "code": one.term.code, "channels": one.term.channels}
+        sizes = {"size": size, "sd": sd, "least": float(f"{one.least:.3g}"), "largest": float(f"{largest:.3g}")}
+        parts.append(TERM.format(**names, **about, **sizes, records=told))
     return "".join(parts)
-
-
-def _digits(x: float) -> float:
-    return float(f"{x:.3g}")
 
 
 # --- The job of `bayes-aero simulate`: a record on disk, with its truth beside it.
@@ -193,16 +139,11 @@ TRUTH_SCHEMA = "bayes_aero/truth/1"
 
 
 def simulate_file(
-    request: Request, card: Card, known: Mapping[str, Effect], out: Path, *, page: bool = False
-) -> tuple[Synthetic, dict[str, Any], tuple[str, ...]]:
-    """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again.
-
-    With `page` there is `out`.report.html, too; the last item states what of it could not be made.
-    """
+    request: Request, card: Card, known: Mapping[str, Effect], out: Path
+) -> tuple[Synthetic, dict[str, Any]]:
+    """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again."""
     from bayes_aero.flight.reading import read_record
     from bayes_aero.flight.record import WRITERS, write_record
-    from bayes_aero.report.page import put_page
-    from bayes_aero.report.pages.check import simulated_page
     from bayes_aero.simulate.injection import synthetic
 
     if out.suffix.lower() not in WRITERS:
@@ -229,11 +170,7 @@ def simulate_file(
         "provenance": source,
     }
     write_json(truth, out.with_name(out.name + ".truth.json"))
-    failures: tuple[str, ...] = ()
-    if page:
-        flown = [p for e in known.values() for p in e.parameters if p.name in found.parameters]
-        failures = put_page(lambda: simulated_page(record, card, truth, flown), out.parent, out.name + ".report.html")
-    return found, truth, failures
+    return found, truth
 
 
 # --- Effects as they are asked for on the command line and in studies: "NAME=VALUE" or "NAME.PARAMETER=VALUE".
@@ -249,7 +186,14 @@ def parsed_effects(given: Sequence[str], known: Mapping[str, Effect]) -> dict[st
         name, _, wanted = left.strip().partition(".")
         if not equals or not right.strip():
             raise InputError(f"--effect {text!r} has no value; write NAME=VALUE, e.g. pitch_rate_bias=0.01")
-        parameter = _parameter_of(effect_named(name, known), wanted, text)
+        parameters = {p.name: p for p in effect_named(name, known).parameters}
+        if not parameters:
+            raise InputError(f"--effect {text!r}: {name} has no parameter, so there is nothing to set")
+        if wanted not in parameters and (wanted or len(parameters) > 1):
+            names = " and ".join(f"{name}.{p}=VALUE" for p in parameters)
+            has = f"has no parameter {wanted}" if wanted else f"has {len(parameters)} parameters"
+            raise InputError(f"--effect {text!r}: {name} {has}; write {names}")
+        parameter = parameters[wanted] if wanted else next(iter(parameters.values()))
         values = found.setdefault(name, {})
         if parameter.name in values:
             raise InputError(f"--effect gives {parameter.name} twice; keep one of the two")
@@ -262,24 +206,7 @@ def parsed_effects(given: Sequence[str], known: Mapping[str, Effect]) -> dict[st
             raise InputError(f"--effect {text!r}: {parameter.name} must lie between {lower:g} and {upper:g}")
         values[parameter.name] = value
     for name, values in found.items():
-        missing = [p.name for p in known[name].parameters if p.name not in values and p.name not in TRUTH]
-        if missing:
-            raise InputError(
-                f"effect {name} has also the parameter {missing[0]}; add --effect {name}.{missing[0]}=VALUE"
-            )
+        if missing := [p.name for p in known[name].parameters if p.name not in values and p.name not in TRUTH]:
+            lacks = missing[0]
+            raise InputError(f"effect {name} has also the parameter {lacks}; add --effect {name}.{lacks}=VALUE")
     return found
-
-
-def _parameter_of(effect: Effect, wanted: str, text: str) -> Parameter:
-    """The parameter that an effect has by this name, or its only one."""
-    own = {p.name: p for p in effect.parameters}
-    if not own:
-        raise InputError(f"--effect {text!r}: {effect.name} has no parameter, so there is nothing to set")
-    if wanted:
-        if wanted not in own:
-            raise InputError(f"--effect {text!r}: {effect.name} has no parameter {wanted}, but {', '.join(own)}")
-        return own[wanted]
-    if len(own) > 1:
-        names = " and ".join(f"{effect.name}.{p}=VALUE" for p in own)
-        raise InputError(f"--effect {text!r}: {effect.name} has {len(own)} parameters; write {names}")
-    return next(iter(own.values()))

@@ -19,7 +19,7 @@ from bayes_aero.flight.health import Agreement, Consistency, HealthFinding
 from bayes_aero.flight.health.channel import channel_health
 from bayes_aero.flight.reading import RecordReport, inspect_record, manoeuvres
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.parts import ConsistencyPart
+from bayes_aero.jobs.documents import ConsistencyPart
 from bayes_aero.jobs.store import picked, provenance, writable, write_json
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.records import despiked_records, joined, on_recorded_axes, with_sums
@@ -54,28 +54,21 @@ def record_checks(
     seed: int,
     out: Path | None = None,
     *,
-    known: KnownErrors | None = None,
-    seek: bool = True,
-    left_out: str = "",
     progress: Progress | None = None,
+    left_out: str = "",
+    **known: Any,
 ) -> RecordChecks:
     """Check records, whichever command reads them; should the comparison of sensors fail, the job goes on without.
-
-    `known`: errors of sensors that a search has found; `seek`: whether to look for errors that explain why sensors
-    disagree; `left_out`: why the sensors are not compared, empty where they are.
-    """
+    `left_out`: why they are not compared, if so; `known`: arguments of `consistency` on errors of sensors."""
     if progress:
         progress("do the sensors agree?", 0.0)
     agreement, failures = attempted(
         "Whether the sensors agree was not checked",
-        lambda: Consistency(left_out) if left_out else consistency(records, card, seed=seed, seek=seek, known=known),
+        lambda: Consistency(left_out) if left_out else consistency(records, card, seed=seed, **known),
         Consistency("the check failed"),
         out,
     )
     return RecordChecks(channel_health(records, card), agreement, failures)
-
-
-# --- The repair of isolated spikes, and the note that every job gives on it.
 
 
 def repaired(records: Sequence[FlightRecord]) -> tuple[list[FlightRecord], tuple[str, ...]]:
@@ -86,10 +79,8 @@ def repaired(records: Sequence[FlightRecord]) -> tuple[list[FlightRecord], tuple
 
 def spike_notes(count: Mapping[str, int]) -> tuple[str, ...]:
     """What was replaced, by channel; nothing where there were no spikes."""
-    if not count:
-        return ()
     counts = several(f"{number} of {name}" for name, number in count.items())
-    return (f"Isolated spikes were replaced by the median of their neighbours: {counts}.",)
+    return (f"Isolated spikes were replaced by the median of their neighbours: {counts}.",) if count else ()
 
 
 # --- What records allow, told before anything is fitted: which command can use them, and why another one cannot.
@@ -98,10 +89,7 @@ DERIVED = ("alpha_dot",)  # formed from recorded channels
 
 
 def usable_for(records: Sequence[FlightRecord], card: Card) -> dict[str, str]:
-    """Why each command cannot use the records with the card, by command; empty where it can.
-
-    A command that the card does not serve is left out.
-    """
+    """Why each command that the card serves cannot use the records, by command; empty where it can."""
     have = available(records, card)
     if card.linear is not None:
         return {"fly": _lacks([n for n in (*card.linear.states, *card.linear.inputs) if n not in have])}
@@ -123,12 +111,11 @@ def available(records: Sequence[FlightRecord], card: Card) -> set[str]:
 
 
 def _lacks(missing: Sequence[str]) -> str:
-    if not missing:
-        return ""
-    return f"no channel {', '.join(missing)}: map {'it' if len(missing) == 1 else 'them'}, or state a constant"
+    them = "it" if len(missing) == 1 else "them"
+    return f"no channel {', '.join(missing)}: map {them}, or state a constant" if missing else ""
 
 
-# --- What records are worth before anything is fitted: channels, sampling, what they can test, whether sensors agree.
+# --- The command.
 
 SCHEMA = "bayes_aero/check/1"
 
@@ -144,7 +131,7 @@ def check_records(
     progress: Progress | None = None,
 ) -> CheckReport:
     """Look at every record, then at what all of them together allow; no aerodynamics is fitted."""
-    looked: list[RecordReport] = []
+    reports: list[RecordReport] = []
     paths = manoeuvres(paths, card.channels, segments=card.segments, split=split)
     for number, path in enumerate(paths):
         if progress:
@@ -155,9 +142,9 @@ def check_records(
                 with_sums(report.record, card)
         except InputError as reason:  # the record leaves a table of the card
             report = replace(report, problems=(*report.problems, str(reason)), record=None)
-        looked.append(report)
-    sound = [r.record for r in looked if r.record is not None]
-    whole = len(sound) == len(looked)
+        reports.append(report)
+    sound = [r.record for r in reports if r.record is not None]
+    whole = len(sound) == len(reports)
     used, left_out = on_recorded_axes(card, sound) if whole else (card, ())
     uses = usable_for(sound, used) if whole else {}
     not_testable: dict[str, str] = {}
@@ -171,7 +158,7 @@ def check_records(
     checks = record_checks(sound, card, seed, known=known, seek=False, left_out=why)
     agreement = replace(checks.consistency, unsought=sought)
     return CheckReport(
-        card, tuple(looked), uses, not_testable, found, agreement, checks.health, left_out, checks.failures
+        card, tuple(reports), uses, not_testable, found, agreement, checks.health, left_out, checks.failures
     )
 
 
@@ -191,7 +178,6 @@ def errors_of_sensors(
 
 
 def check_results(report: CheckReport) -> dict[str, Any]:
-    """The report as plain data."""
     records, card, sensors = [], report.card, report.sensors
     for r in report.records:
         about = asdict(replace(r, record=None))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Event
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -36,8 +36,8 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import only_following
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import record_checks
-from bayes_aero.jobs.io.results import Hidden, Outcome, diagnosed, diagnosis_results, flights, put_histories
 from bayes_aero.jobs.options import DiagnoseOptions
+from bayes_aero.jobs.results import Hidden, Outcome, diagnosed, diagnosis_results, flights, put_histories
 from bayes_aero.jobs.store import Growing, picked, provenance, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
@@ -94,31 +94,23 @@ def diagnose_records(
     hidden: Hidden | None = None,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Diagnose, as `bayes-aero diagnose` does, by coefficients or, where an accelerometer is missing, by trajectories
-    alone; with `out` it writes diagnosis.json, causes.csv, changes.csv, terms.csv, screen.csv,
-    histories.nc, figures and report.html.
-
-    A stage that fails is left out, and the reason is a note. `hidden` is what simulated records hide, for the
-    comparison with what was found.
-    """
+    """Diagnose, as `bayes-aero diagnose` does; `hidden` is what simulated records hide. A stage that fails is a
+    note."""
     card, left_out = on_recorded_axes(card, records)
     if out is not None:
         writable(out)
-    source = provenance(card, records, options.seed, options.settings, options)
+    kept = ResultStore(card, records, out, provenance(card, records, options.seed, options.settings, options))
     if progress:
         progress("do the sensors agree?", 0.0)
     settings = DiagnosisSettings(max_effects=options.max_effects, process_noise=options.process_noise)
     found = diagnose(records, card, settings=settings, seed=options.seed, progress=progress)
-    alone = not found.by_coefficients
-    options = replace(options, test_points=options.test_points and not alone)
-    known = None if alone else errors_of_diagnosis(found)
+    options = replace(options, test_points=options.test_points and found.by_coefficients)
+    known = errors_of_diagnosis(found) if found.by_coefficients else None
     checks = record_checks(records, card, options.seed, out, known=known)
     view = view_of(replace(found, following=only_following(checks.health)))
     named = {name: place_of(view.diagnosis, name) for name in hidden} if hidden else {}
     failed = (*checks.failures, *found.failures)
-    outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
-    kept = ResultStore(card, records, out, source)
-    kept.result = outcome
+    kept.result = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
     kept.keep(left_out, view={"diagnosis": view.diagnosis, "trajectories": view.trajectories})
     follow_up(kept, records, card, options, progress)
     return kept.result
@@ -136,7 +128,7 @@ def follow_up(
         in_background(partial(follow, kept, options.test_points, early, envelope=card.envelope), progress) as following,
     ):  # one limit: of two, the first to end would lift both
         if cores() == 1:
-            following.result()
+            following()
         if options.trajectories:
             fly = partial(simulations, diagnosis, card, records, options.seed, progress)
             attempt("Trajectories were not simulated", lambda: kept.keep(view={"trajectories": fly()}))
@@ -152,12 +144,13 @@ def follow_up(
             doubtful := sensors_not_missed(diagnosis, flown.asked)
         ).missed:
             kept.keep(view={"diagnosis": judged_on_held_out_flights(diagnosis, doubtful)})
-        drawn = following.result()
+        drawn = following()
     if kept.out is not None:
         drawn |= drawings(kept, late, progress)
         if progress:
             progress("report", 0.0)
-        kept.put_page(drawn)
+        context = PageContext(card, records, kept.source, drawn, kept.result)
+        kept.fail(put_page(lambda: diagnosis_page(kept.result.view, context), kept.out))
 
 
 def place_of(diagnosis: Diagnosis, name: str) -> str:
@@ -170,14 +163,10 @@ def place_of(diagnosis: Diagnosis, name: str) -> str:
     return "minor" if name in diagnosis.minor else "missed"
 
 
-# --- What a diagnosis has found so far, on disk as soon as it is known.
-
-
 class ResultStore(Growing[Outcome]):
     """A diagnosis that grows, with diagnosis.json, its tables and histories."""
 
     def write(self, out: Path) -> None:
-        """diagnosis.json."""
         write_json(diagnosis_results(self.result, self.card, self.records, self.source), out / "diagnosis.json")
 
     def keep(
@@ -187,7 +176,6 @@ class ResultStore(Growing[Outcome]):
         view: Mapping[str, Any] | None = None,
         **changes: Any,
     ) -> None:
-        """Put more into the outcome and on disk: `notes` on what was left out, parts of its view, other parts."""
         with self.lock:
             seen = replace(self.result.view, **view) if view else self.result.view
             super().keep(notes, failures, view=seen, **changes)
@@ -206,14 +194,8 @@ class ResultStore(Growing[Outcome]):
             self.fail(put_histories(lambda: {**by_coefficients(), **flights(flown)}, self.out))
 
     def fail(self, failures: Sequence[str]) -> None:
-        """Keep what failed unexpectedly; none is nothing."""
         if failures:
             self.keep(failures=failures)
-
-    def put_page(self, drawn: Mapping[str, Path]) -> None:
-        """report.html with the figures `drawn`; a note says why if there is none."""
-        context = PageContext(self.card, self.records, self.source, drawn, self.result)
-        self.fail(() if self.out is None else put_page(lambda: diagnosis_page(self.result.view, context), self.out))
 
 
 # --- What follows a diagnosis while trajectories are flown: test points, sizes in a band, stalls, scores, figures.
@@ -222,10 +204,7 @@ class ResultStore(Growing[Outcome]):
 def follow(
     kept: ResultStore, test_points: bool, figures: ViewFigures, tell: Progress, envelope: Envelope
 ) -> dict[str, Path]:
-    """All that needs no trajectories, kept piece by piece; stalls and figures only where there is a folder for them.
-
-    Returns the figures drawn, by name.
-    """
+    """All that needs no trajectories, kept piece by piece; returns the figures drawn, by name."""
     found, attempt = kept.result.diagnosis, partial(kept.attempt, bad="{}: {}")
     if test_points:
         what = "Test points that would decide what is open were not chosen"
@@ -315,39 +294,29 @@ def simulations(
 Result = TypeVar("Result")
 
 
-class BackgroundJob(Generic[Result]):
-    """A job that runs. Where it is will be shown from when it is waited for."""
-
-    def __init__(self, pool: Executor, job: Callable[[Progress], Result], progress: Progress | None) -> None:
-        self.stopped, self._waited = Event(), Event()
-
-        def tell(text: str, share: float) -> None:
-            if self.stopped.is_set():  # the job ends where it next tells where it is
-                raise CancelledError
-            if progress and self._waited.is_set():
-                progress(text, share)
-
-        self._running = pool.submit(job, tell)
-
-    def result(self) -> Result:
-        """What the job returns, or raises, once it has."""
-        self._waited.set()
-        return self._running.result()
-
-
 @contextmanager
 def in_background(
     job: Callable[[Progress], Result], progress: Progress | None = None
-) -> Iterator[BackgroundJob[Result]]:
-    """Run `job` in a thread of its own while the block lasts, and until it ends.
+) -> Iterator[Callable[[], Result]]:
+    """Run `job` in a thread of its own while the block lasts; what it yields waits for its result. Where the job is, is
+    shown while it is waited for, and there it ends if the block fails: Ctrl-C does not wait for its whole length."""
+    stopped, waited = Event(), Event()
 
-    The job is handed a function to be told where it is. There it ends if the block fails: Ctrl-C does not wait for its
-    whole length.
-    """
+    def tell(text: str, share: float) -> None:
+        if stopped.is_set():
+            raise CancelledError
+        if progress and waited.is_set():
+            progress(text, share)
+
     with ThreadPoolExecutor(1) as pool:
-        running = BackgroundJob(pool, job, progress)
+        running = pool.submit(job, tell)
+
+        def result() -> Result:
+            waited.set()
+            return running.result()
+
         try:
-            yield running
+            yield result
         except BaseException:
-            running.stopped.set()
+            stopped.set()
             raise

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from bayes_aero.atomic_write import beside, put_folder, write_whole
@@ -42,52 +41,42 @@ def fitted_records(
     files: Sequence[Path] = (),
     folders: Sequence[Path] = (),
 ) -> list[FlightRecord]:
-    """The records with which a result was made, in their order and read as they were.
-
-    They are looked for in `files`, whatever their names, then by their names in `folders`, then at the paths that the
-    result states, from the working directory, the result's folder and the one above it. `remedy`: what to do where one
-    is not found, e.g. "give it with --fitted".
-    """
+    """The records of a result as they were read, from `files` whatever their names, by their names from `folders`, or
+    from the paths that the result states, beside it or here. `remedy`: what to do where one is not found."""
     found = []
-    for one in provenance["inputs"]:
-        if "content" not in one:
+    for row in provenance["inputs"]:
+        if row.get("read") is None or "content" not in row:
             raise InputError(
-                f"{result} was written by an earlier version, which did not state how it read its records; run the "
-                "command again"
+                f"record {row['name']} of {result} was made in memory, or by an earlier version, and cannot be read "
+                "again; write it to a file, and run the command with that"
             )
-        if one["read"] is None:
-            raise InputError(
-                f"record {one['name']} of {result} was made in memory, so that it cannot be read again; write it to a "
-                "file, and run the command with that"
-            )
-        path = Path(one["read"]["path"])
+        path = Path(row["read"]["path"])
         places = [*(segment_of(file).file for file in files), *(folder / path.name for folder in folders)]
         for folder in (Path(), result.parent, result.parent.parent):
             places += dict.fromkeys((folder / path, folder / path.name))
         there = [place for place in places if place.is_file()]
-        record = unchanged_record(one, card, there)
-        if record is None:
-            changed = [place for place in there if place not in files]
-            where = f"in {folders[0]}" if folders else "where it was, nor beside the result, nor here"
+        record = unchanged_record(row, card, there)
+        if record is None and (changed := [place for place in there if place not in files]):
             raise InputError(
                 f"record {changed[0]} has changed since {result} was made (its content differs); run the command "
                 f"again, or {remedy} as it was"
-                if changed
-                else f"record {path.name} of {result} is not {where}; {remedy}"
             )
-        found.append(replace(record, name=one["name"]))
+        if record is None:
+            where = f"in {folders[0]}" if folders else "where it was, nor beside the result, nor here"
+            raise InputError(f"record {path.name} of {result} is not {where}; {remedy}")
+        found.append(replace(record, name=row["name"]))
     return found
 
 
-def unchanged_record(one: Mapping[str, Any], card: Card, there: Sequence[Path]) -> FlightRecord | None:
+def unchanged_record(row: Mapping[str, Any], card: Card, there: Sequence[Path]) -> FlightRecord | None:
     """The record from the first file that is unchanged; else from one with the same samples, as written anew."""
     for path in there:
-        if sha256_of(path) == one["sha256"]:
-            return read_again(one["read"], path, card.channels)
+        if sha256_of(path) == row["sha256"]:
+            return read_again(row["read"], path, card.channels)
     for path in there:
         with suppress(InputError):
-            record = read_again(one["read"], path, card.channels)
-            if record.content == one["content"]:
+            record = read_again(row["read"], path, card.channels)
+            if record.content == row["content"]:
                 return record
     return None
 
@@ -95,6 +84,7 @@ def unchanged_record(one: Mapping[str, Any], card: Card, there: Sequence[Path]) 
 # --- The identified model of a finished result, or of a card that states values.
 
 USABLE = ("converged", "at_bound")
+COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose"}
 
 
 @dataclass(frozen=True)
@@ -108,17 +98,14 @@ class FinishedResult:
 
     @property
     def folder(self) -> Path:
-        """Where its files are."""
         return self.file.parent
 
     @property
     def command(self) -> str:
-        """That made it: identify, fly or diagnose."""
         return COMMANDS[self.told["schema"].split("/")[1]]
 
     @property
     def linear(self) -> IdentifiedLinear | None:
-        """The model, where it is a linear system."""
         return self.identified if isinstance(self.identified, IdentifiedLinear) else None
 
     @property
@@ -127,14 +114,9 @@ class FinishedResult:
         return with_process_noise(self.told)
 
     def records(self, remedy: str, files: Sequence[Path] = (), folders: Sequence[Path] = ()) -> list[FlightRecord]:
-        """Its records; see `fitted_records`."""
         with as_written(self.file):
-            return fitted_records(
-                self.told["provenance"], self.file, self.card, remedy=remedy, files=files, folders=folders
-            )
-
-
-COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose"}
+            made = self.told["provenance"]
+            return fitted_records(made, self.file, self.card, remedy=remedy, files=files, folders=folders)
 
 
 @contextmanager
@@ -149,15 +131,10 @@ def as_written(file: Path) -> Iterator[None]:
 
 
 def read_finished(
-    given: str,
-    card: str | None = None,
-    no_card: str = "; give the folder of a result of identify, fly or diagnose",
+    given: str, card: str | None = None, no_card: str = "; give the folder of a result of identify, fly or diagnose"
 ) -> FinishedResult:
-    """The result in a folder or file; its model may be a linear system. A card is refused with `no_card`.
-
-    `card`: that of the result, where it is not found by itself. `InputError` where the fit did not converge or has no
-    value of all.
-    """
+    """The result in a folder or file, with the `card` of the user if it is not found; a card is refused with
+    `no_card`."""
     file = result_file(given)
     if file is None:
         raise InputError(f"{given} is a card{no_card}")
@@ -168,86 +145,75 @@ def read_finished(
 
 
 def read_identified(given: str, card: str | None = None) -> tuple[Identified, FinishedResult | None]:
-    """The model of effects of a folder of results, of a result file, or (without a result) of a card."""
-    if result_file(given) is None:
-        return model_of_card(read_card(given)), None
-    result = read_finished(given, card)
-    if isinstance(result.identified, IdentifiedLinear):
+    """The model of effects of a folder of results, of a result file, or (without a result) of a card at its values."""
+    if result_file(given) is not None:
+        result = read_finished(given, card)
+        if isinstance(result.identified, IdentifiedLinear):
+            raise InputError(
+                f"card {result.identified.name} states a linear system, which has no coefficients to export; use a "
+                "result of a card with [model]"
+            )
+        return result.identified, result
+    stated = read_card(given)
+    model = Model.from_card(stated)
+    values = {name: change.start for name, change in stated.changes.items() if change.start is not None}
+    values |= dict(model.fixed)
+    if missing := [p.name for p in model.parameters if p.name not in values]:
         raise InputError(
-            f"card {result.identified.name} states a linear system, which has no coefficients to export; use a result "
-            "of a card with [model]"
+            f"card {stated.name} states no value of {', '.join(missing)}; give a result of identify, fly or diagnose, "
+            f"or state start under [parameters.{missing[0]}]"
         )
-    return result.identified, result
-
-
-def model_of_card(card: Card) -> Identified:
-    """The model of effects at the values that the card states."""
-    model = Model.from_card(card)
-    stated = {name: change.start for name, change in card.changes.items() if change.start is not None}
-    values = stated | dict(model.fixed)
-    missing = [p.name for p in model.parameters if p.name not in values]
-    if missing:
-        raise InputError(
-            f"card {card.name} states no value of {', '.join(missing)}; give a result of identify, fly or diagnose, or "
-            f"state start under [parameters.{missing[0]}]"
-        )
-    sources = (f"Values: as card {card.name} states them ({card.source}); sha256 {card.sha256[:16]}.",)
-    return Identified(card.name, card.title, model, card.aircraft, values, sources)
+    source = f"Values: as card {stated.name} states them ({stated.source}); sha256 {stated.sha256[:16]}."
+    return Identified(stated.name, stated.title, model, stated.aircraft, values, (source,)), None
 
 
 def model_of_result(told: Mapping[str, Any], file: Path, card: Card) -> Finished:
     """The model at the values of a result, with where these come from and the ranges that were flown."""
     estimates, causes, how = estimates_of(told, file)
     source = told["provenance"]
-    records = ", ".join(f"{one['name']} (sha256 {one['sha256'][:16]})" for one in source["inputs"])
+    records = ", ".join(f"{row['name']} (sha256 {row['sha256'][:16]})" for row in source["inputs"])
     made = source.get("versions", {}).get("bayes-aero", "of unknown version")
     origin = f"Records: {records}. Card {card.name} (sha256 {card.sha256[:16]}). Result of bayes-aero {made}."
 
     def complete(values: Mapping[str, float | None]) -> dict[str, float]:
-        for name, x in values.items():
-            if x is None:
-                raise InputError(f"{file} has no value of {name}; run the command again with this version")
+        if lacking := [name for name, x in values.items() if x is None]:
+            raise InputError(f"{file} has no value of {lacking[0]}; run the command again with this version")
         return {name: float(x) for name, x in values.items() if x is not None}
 
     if card.linear is not None:
-        found = IdentifiedLinear(card, {}, (how, origin), len(told["records"]))
+        found = IdentifiedLinear(card.name, card.title, card, {}, (how, origin), len(told["records"]))
         return replace(found, values=complete({name: estimates.get(name) for name in found.names}))
     model = fitted_model(card, estimates, causes, told)
     values = complete(dict(model.fixed) | {p.name: estimates.get(p.name) for p in model.free})
     ranges = [record.get("ranges", {}) for record in told["records"]]  # flown: lowest and highest that all records have
-    shared = set.intersection(*(set(one) for one in ranges)) if ranges else set()
-    known = [n for n in sorted(shared) if all(None not in one[n] for one in ranges)]
-    flown = {n: (min(one[n][0] for one in ranges), max(one[n][1] for one in ranges)) for n in known}
+    shared = set.intersection(*map(set, ranges)) if ranges else set()
+    known = [n for n in sorted(shared) if all(None not in pairs[n] for pairs in ranges)]
+    flown = {n: (min(pairs[n][0] for pairs in ranges), max(pairs[n][1] for pairs in ranges)) for n in known}
     return Identified(card.name, card.title, model, card.aircraft, values, (how, origin), flown)
 
 
 def estimates_of(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:
     """Values by parameter, the causes that were added to the card's model, and a sentence on the method."""
     kind = told["schema"].split("/")[1]
-    if kind == "results":
-        mle = told["mle"]
-        if mle["status"] not in USABLE:
-            raise InputError(f"the fit of {file} has not converged ({mle['advice']}); there is no model to export")
-        values = {name: p["estimate"] for name, p in mle["parameters"].items()}
-        return values, [], "Values: maximum likelihood on coefficients (identify)."
-    if kind == "trajectories":
-        if not told["converged"]:
-            status = told["status"].replace("_", " ")
-            raise InputError(f"the fit of {file} has not converged ({status}); there is no model to export")
-        values = {name: p["estimate"] for name, p in told["parameters"].items()}
-        if not with_process_noise(told):
-            return values, [], "Values: output error, maximum likelihood on trajectories (fly)."
+    if kind == "diagnosis":
+        if not told["base_parameters"]:
+            raise InputError(f"{file} has no fitted parameters; there is no model to export")
+        values = {name: move["after"] for name, move in told["base_parameters"].items()}
+        causes = [cause for cause in told["causes"] if cause["confirmed"]]
+        for cause in causes:
+            values |= {name: size["mean"] for name, size in cause["parameters"].items()}
+        names = [cause["name"] for cause in causes]
+        added = f"the card's model with {', '.join(names)}" if names else "the card's model, to which nothing is added"
+        return values, names, f"Values: {added} (diagnose)."
+    fit, how = (told["mle"], "maximum likelihood on coefficients (identify)") if kind == "results" else (told, "")
+    if fit["status"] not in USABLE:
+        status = fit.get("advice") or fit["status"].replace("_", " ")
+        raise InputError(f"the fit of {file} has not converged ({status}); there is no model to export")
+    values = {name: p["estimate"] for name, p in fit["parameters"].items()}
+    if with_process_noise(told):
         values |= {name: x for name, (x, _) in told["process_noise"]["estimates"].items()}
-        return values, [], "Values: maximum likelihood on trajectories with process noise (fly)."
-    if not told["base_parameters"]:
-        raise InputError(f"{file} has no fitted parameters; there is no model to export")
-    values = {name: move["after"] for name, move in told["base_parameters"].items()}
-    causes = [cause for cause in told["causes"] if cause["confirmed"]]
-    for cause in causes:
-        values |= {name: size["mean"] for name, size in cause["parameters"].items()}
-    names = [cause["name"] for cause in causes]
-    added = f"the card's model with {', '.join(names)}" if names else "the card's model, to which nothing is added"
-    return values, names, f"Values: {added} (diagnose)."
+        how = "maximum likelihood on trajectories with process noise (fly)"
+    return values, [], f"Values: {how or 'output error, maximum likelihood on trajectories (fly)'}."
 
 
 def with_process_noise(told: Mapping[str, Any]) -> bool:
@@ -262,23 +228,21 @@ def fitted_model(card: Card, estimates: Mapping[str, Any], causes: Sequence[str]
     fixed = dict(model.fixed)
     known = [e for e in model.effects if all(p.name in estimates or p.name in fixed for p in e.parameters)]
     if len(known) < len(model.effects):
-        fitted = told["mle"]["fit"] if "mle" in told else told.get("fitted_outputs", ())
-        axes = tuple(a for a in model.axes if "mle" not in told or set(COEFFICIENTS[a]) & set(fitted))
+        axes = tuple(a for a in model.axes if "mle" not in told or set(COEFFICIENTS[a]) & set(told["mle"]["fit"]))
         if "mle" not in told:
             axes = tuple(a for a in axes if any(e.axes == (a,) and e.parameters for e in known))
-        own = {p.name for e in known for p in e.parameters}
-        kept = [e for e in known if e.acts_on(axes) and set(e.uses) <= own]
+        there = {p.name for e in known for p in e.parameters}
+        kept = [e for e in known if e.acts_on(axes) and set(e.uses) <= there]
         names = {p.name for e in kept for p in e.parameters}
         if not axes or not kept:
             raise InputError(f"the result has values of no effect of card {card.name}; run the command again")
         parameters = tuple(p for p in model.parameters if p.name in names)
         model = replace(model, axes=axes, effects=tuple(kept), parameters=parameters)
-        model = replace(model, fixed=tuple((name, x) for name, x in model.fixed if name in names))
-    there = {e.name for e in model.effects}
+        fixed = {name: x for name, x in fixed.items() if name in names}
     freed = {p.name for e in model.effects if e.name in causes for p in e.parameters}  # held at neutral on the card
-    model = replace(model, fixed=tuple((name, x) for name, x in model.fixed if name not in freed))
-    own_files = own_effects(card.effect_files)
-    added: list[Effect] = [own_files.get(name) or effect_named(name) for name in causes if name not in there]
+    model = replace(model, fixed=tuple((name, x) for name, x in fixed.items() if name not in freed))
+    own_files, have = own_effects(card.effect_files), {e.name for e in model.effects}
+    added: list[Effect] = [own_files.get(name) or effect_named(name) for name in causes if name not in have]
     return model.extended(*added) if added else model
 
 
@@ -302,11 +266,8 @@ def no_draws(name: str) -> InputError:
 
 
 def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) -> Draws:
-    """`count` draws of the parameters `wanted` that were fitted.
-
-    A posterior that converged comes first; else estimates and covariance, corrected for coloured residuals, give a
-    normal distribution, of which draws beyond a parameter's bounds are left out.
-    """
+    """`count` draws of the parameters `wanted`: of a posterior that converged, else normal about the estimates with the
+    covariance corrected for coloured residuals, within the bounds."""
     if not 1 <= count <= MOST_DRAWS:
         raise InputError(f"--draws is {count}; give a number from 1 to {MOST_DRAWS}")
     rng, told, found = np.random.default_rng(seed), result.told, result.identified
@@ -334,13 +295,11 @@ def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) 
     # About the estimates, within the bounds; what the covariance does not know is left out.
     covariance = np.array(matrix, dtype=float)
     known = [name in wanted and bool(np.all(np.isfinite(covariance[i]))) for i, name in enumerate(rows)]
-    names = tuple(name for name, one in zip(rows, known, strict=True) if one)
-    part = covariance[np.ix_(known, known)]
+    names = tuple(np.array(list(rows))[known].tolist())
     low, high = np.array([found.bounds[name] for name in names]).T
-    centre = np.array([found.values[name] for name in names])
-    values, vectors = np.linalg.eigh(part)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)])
     white = rng.standard_normal((TRIES * count, len(names)))
-    draws = centre + (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    draws = np.array([found.values[name] for name in names]) + (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     draws = draws[np.all((draws >= low) & (draws <= high), axis=1)][:count]
     if len(draws) < count:
         raise InputError(
@@ -348,23 +307,18 @@ def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) 
             "with identify, or fly --posterior"
         )
     held = [name for name in wanted if name not in names]
-    origin = "normal distribution of the estimates, " + (
-        "covariance of the fit with process noise" if result.filtered else "covariance corrected for coloured residuals"
-    )
-    return Draws(names, draws, origin + (f"; {', '.join(held)} held at the estimate" if held else ""))
+    of = "of the fit with process noise" if result.filtered else "corrected for coloured residuals"
+    held_text = f"; {', '.join(held)} held at the estimate" if held else ""
+    return Draws(names, draws, f"normal distribution of the estimates, covariance {of}{held_text}")
 
 
 # --- The card of a finished result: results name it by its hash, and do not repeat it.
 
 
 def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> Card:
-    """The card with which a result was made, and its effect files as they were.
-
-    `given`: a card named by the user; None: the shipped card of that name, the path that the result states, or a file
-    of that name beside the result or in the working directory.
-    """
+    """The card with which a result was made, and its effect files as they were: `given` by the user, the shipped one of
+    that name, at the path that the result states, or a file of that name beside the result or here."""
     name, sha256 = provenance["card"]["name"], provenance["card"]["sha256"]
-    shipped = shipped_cards().get(name)
     if given is not None:
         card = read_card(given)
         if card.sha256 != sha256:
@@ -373,8 +327,8 @@ def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> C
                 "--model, or run the command again"
             )
     else:
-        stated = provenance["card"].get("path")
-        places = [*([shipped] if shipped else []), *([Path(stated)] if stated else [])]
+        shipped, stated = shipped_cards().get(name), provenance["card"].get("path")
+        places = [Path(path) for path in (shipped, stated) if path]
         places += [folder / f"{name}.toml" for folder in (result.parent, result.parent.parent, Path())]
         path = next((p for p in places if p.is_file() and sha256_of(p) == sha256), None)
         if path is None:
@@ -399,24 +353,15 @@ class IdentifiedLinear:
     `manoeuvres`: how many were fitted. Constants that differ between manoeuvres have a value for each of them.
     """
 
+    name: str
+    title: str
     card: Card
     values: Mapping[str, float]
     sources: tuple[str, ...]
     manoeuvres: int
 
     @property
-    def name(self) -> str:
-        """The card's."""
-        return self.card.name
-
-    @property
-    def title(self) -> str:
-        """The card's."""
-        return self.card.title
-
-    @property
     def rows(self) -> LinearCard:
-        """The rows of the card."""
         assert self.card.linear is not None
         return self.card.linear
 
@@ -427,16 +372,13 @@ class IdentifiedLinear:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The free parameters."""
         return self.fitted.names
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
-        """By parameter."""
         return {p.name: p.bounds for p in self.fitted.free}
 
     def dynamics(self, flights: Flights) -> LinearDynamics:
-        """What flies these manoeuvres."""
         return linear_dynamics(self.card, flights.lengths)
 
 
@@ -452,11 +394,8 @@ WIDTH = 100
 def export(
     given: str, form: str, *, out: Path | None = None, card: str | None = None, draws: int = 0, seed: int = 0
 ) -> tuple[Path, dict[str, Any]]:
-    """Write the model of a result, or of a card that states all values, as `form`, one of `FORMS`, with `draws`.
-
-    `out`: the folder to make; default NAME_FORM in the working directory. `card`: that of the result, where it is not
-    found by itself. Returns the folder, and what export.json says.
-    """
+    """Write the model of a result, or of a card that states all values, as `form`, one of `FORMS`, into the new folder
+    `out` (default NAME_FORM), with `draws`. Returns the folder, and what export.json says."""
     if form not in FORMS:
         raise InputError(f"there is no form {form!r} to export to; give one of {', '.join(FORMS)}")
     found, result = read_identified(given, card)
@@ -479,12 +418,14 @@ def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
         part.mkdir(parents=True)
         facts = export_facts(found, form, FORMS[form](found, part))
         write_json(facts, part / "export.json")
-        write_whole(wrapped((*about(found), *use_of(found, form)), WIDTH) + "\n", part / "README.txt")
+        use = [USE[form].format(name=found.name)]
+        if form == "jsbsim":
+            table = [f"{n}: {PROPERTIES[n][0]}" for n in found.program.inputs_of("signal") if n in PROPERTIES]
+            use.append(f"Read from JSBSim: {'; '.join(table)}.")
+        write_whole(wrapped((*about(found), *use), WIDTH) + "\n", part / "README.txt")
         if found.draws is not None:
-            text = io.StringIO(newline="")
-            rows = ([repr(float(x)) for x in row] for row in found.draws.values)
-            csv.writer(text).writerows([found.draws.names, *rows])
-            write_whole(text.getvalue(), part / "draws.csv")
+            frame = pd.DataFrame(found.draws.values, columns=list(found.draws.names))
+            write_whole(frame.to_csv(index=False), part / "draws.csv")
         put_folder(part, target.absolute())
     except OSError as reason:
         raise InputError(
@@ -502,7 +443,6 @@ def _renamed(found: Identified) -> Identified:
 
 
 def write_jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:
-    """A root directory of JSBSim; the names of its files."""
     files = jsbsim_files(found)
     for name, text in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -518,7 +458,6 @@ FORMS: dict[str, Callable[[Identified, Path], tuple[str, ...]]] = {
 
 
 def export_facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[str, Any]:
-    """What a program may want to know of the export."""
     read = found.program.inputs_of("parameter")
     return {
         "schema": SCHEMA,
@@ -540,20 +479,12 @@ def export_facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[s
     }
 
 
-def use_of(found: Identified, form: str) -> tuple[str, ...]:
-    """How the files of a form are used."""
-    if form == "jsbsim":
-        table = [f"{n}: {PROPERTIES[n][0]}" for n in found.program.inputs_of("signal") if n in PROPERTIES]
-        return (
-            f"This folder is a root directory of JSBSim with the aircraft {found.name}. For your own aircraft take the "
-            "files of aerodynamics and of the system, put the system before the aerodynamics, and set AERORP to the "
-            "aerodynamic reference point. The system declares what JSBSim does not have, bayes-aero/input/...",
-            f"Read from JSBSim: {'; '.join(table)}.",
-        )
-    if form == "fmu":
-        return ("FMI 2.0, co-simulation; it runs where Python runs. The time step solves the separation lag exactly.",)
-    return (
-        "A coefficient is the sum of its tables, each interpolated linearly; interpolation_error is the sum of the "
-        "largest errors along the axes. X is an axis: take the incidence from its tables, the static X from "
-        "X_static, and X through its lag where there is one.",
-    )
+USE = {  # how the files of a form are used
+    "jsbsim": "This folder is a root directory of JSBSim with the aircraft {name}. For your own aircraft take the "
+    "files of aerodynamics and of the system, put the system before the aerodynamics, and set AERORP to the "
+    "aerodynamic reference point. The system declares what JSBSim does not have, bayes-aero/input/...",
+    "fmu": "FMI 2.0, co-simulation; it runs where Python runs. The time step solves the separation lag exactly.",
+    "tables": "A coefficient is the sum of its tables, each interpolated linearly; interpolation_error is the sum of "
+    "the largest errors along the axes. X is an axis: take the incidence from its tables, the static X from X_static, "
+    "and X through its lag where there is one.",
+}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain, count
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.diagnosis.consistency import in_gusts, no_flight_path
-from bayes_aero.diagnosis.result import FITTED, ProcessNoise, Setting, TrajectoryFit
+from bayes_aero.diagnosis.result import FITTED, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories import (
     fit_disagreements,
     fit_trajectories,
@@ -41,8 +41,8 @@ from bayes_aero.inference.mle import fit_mle, without_noise_bias
 from bayes_aero.inference.prediction_error import ENGINES
 from bayes_aero.inference.results import MleResult, Posterior
 from bayes_aero.jobs.check import record_checks, repaired, spike_notes, usable_for
-from bayes_aero.jobs.io.results import RESULTS, Flight, flights, fly_results, put_histories
 from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
+from bayes_aero.jobs.results import RESULTS, Flight, flights, fly_results, put_histories
 from bayes_aero.jobs.store import Growing, provenance, safe_name, sha256_of, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
@@ -99,60 +99,77 @@ def fly(
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
-    setting = setting_of(options, card)
-    check_band(options.frequency, records, card)
-    card, left_out = on_recorded_axes(card, records, OF_AXIS, DERIVED)
-    flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
-    if out is not None:
-        writable(out)
-    checks = record_checks(records, card, options.seed, out, progress=progress)
-    asked = options.process_noise is None
-    gusts = in_gusts(records, card, options.seed) if asked and checks.consistency.recorded else {}
-    options = replace(options, process_noise=True) if gusts else options
-    coefficients, failed = coefficient_fit(records, card, options, out, progress)
-    flown = output_error_fit(flights, dynamics, card, coefficients, options, progress)
-    flown = replace(flown, following=only_following(checks.health))
-    apart = () if coefficients is None else fit_disagreements(coefficients, flown)
-    disputed = asked and not gusts and bool(apart)
-    options = replace(options, process_noise=bool(options.process_noise) or disputed)
-    chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
-    source = provenance(card, records, options.seed, options.settings | chosen, options)
-    (beside, sample), more = process_noise(flown, options, card, out, progress)
-    notes = [*left_out, *notes, *(said for fit in flown.frequency for said in frequency_sentences(fit))]
-    notes += [UNFILTERED] if options.process_noise and not flown.converged else []
-    moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown, beside), None, out)
-    hindered = usable_for(records, card).get("diagnose", "")
-    failed = (*checks.failures, *failed, *more, *unmoved)
-    found = Flight(flown, (), tuple(notes), checks.health, checks.consistency, failed, apart, beside, motion=moves)
-    said = findings(found, gusts, hindered, disputed=disputed, disturbed=bool(options.process_noise))
-    kept = FlightStore(card, records, out, source)
-    kept.begin(replace(found, sentences=said))
-    if sample is not None:
-        kept.sample(sample)
+    kept = fitted(records, card, options, out, progress)
     kept.show(figures=options.figures, progress=progress)
     return kept.result
 
 
-def findings(
-    found: Flight, gusts: Mapping[str, float], hindered: str, *, disputed: bool, disturbed: bool
-) -> tuple[str, ...]:
-    """The sentences on a fit; `hindered`: why diagnose cannot use the records, `disturbed`: with process noise."""
-    apart, beside = found.apart, found.process_noise
-    return (
-        *trajectories.gust_sentences(gusts, beside),
+def fitted(
+    records: Sequence[FlightRecord], card: Card, options: FlyOptions, out: Path | None, progress: Progress | None
+) -> FlightStore:
+    """The fits and what is said of them, with posteriors; all numbers are written."""
+    setting = setting_of(options, card)
+    if options.frequency is not None:
+        if card.linear is None:
+            raise InputError(
+                f"trajectories are fitted in the frequency domain for linear cards only; card {card.name} has a model "
+                "of effects, so use bayes-aero identify --frequency"
+            )
+        for record in records:  # refuses a band in which it has no frequency
+            lines_in(options.frequency, record.n, record.dt, record.name)
+    card, left_out = on_recorded_axes(card, records, OF_AXIS, DERIVED)
+    flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
+    if out is not None:
+        writable(out, "posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv")
+    checks = record_checks(records, card, options.seed, out, progress=progress)
+    undecided = options.process_noise is None
+    met = in_gusts(records, card, options.seed) if undecided and checks.consistency.recorded else {}
+    coefficients, failed, own = None, (), bool(card.effect_files)
+    if not options.flight_path and card.linear is None:
+        if progress:
+            progress("coefficients", 0.0)
+        what, fit = "The coefficients gave no first values", partial(coefficient_fit, records, card, options.seed)
+        coefficients, failed = attempted(what, fit, None, out, own=own)
+    flown = output_error_fit(flights, dynamics, card, coefficients, options, progress)
+    flown = replace(flown, following=only_following(checks.health))
+    apart = () if coefficients is None else fit_disagreements(coefficients, flown)
+    disputed = undecided and not met and bool(apart)
+    options = replace(options, process_noise=bool(options.process_noise or met or disputed))
+    chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
+    source = provenance(card, records, options.seed, options.settings | chosen, options)
+    beside, sample, more = None, None, ()
+    if options.process_noise and flown.converged:
+        if progress:
+            progress("process noise", 0.9)
+        what = "Process noise was not fitted"
+        filtered, more = attempted(what, lambda: with_process_noise(flown), None, out, own=own)
+        beside, sample = filtered or (None, None)
+    notes = [*left_out, *notes, *(said for fit in flown.frequency for said in frequency_sentences(fit))]
+    notes += [UNFILTERED] if options.process_noise and not flown.converged else []
+    moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown, beside), None, out)
+    hindered = usable_for(records, card).get("diagnose", "")  # why diagnose cannot use the records
+    failed = (*checks.failures, *failed, *more, *unmoved)
+    sentences = (
+        *trajectories.gust_sentences(met, beside),
         *trajectories.settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed),
-        *(() if beside is None else trajectories.process_noise_sentences(beside, found.flown)),
-        *text.fly_sentences(found.flown, hindered, disturbed=disturbed),
+        *(() if beside is None else trajectories.process_noise_sentences(beside, flown)),
+        *text.fly_sentences(flown, hindered, disturbed=bool(options.process_noise)),
         *text.disagreement_sentences(apart, hindered),
-        *motion_sentences(found.motion),
+        *motion_sentences(moves),
     )
+    kept = FlightStore(card, records, out, source)
+    found = (flown, sentences, tuple(notes), checks.health, checks.consistency, failed, apart, beside)
+    kept.result = Flight(*found, motion=moves)
+    kept.keep()
+    if sample is not None and beside is not None and options.posterior and beside.converged:
+        kept.sample(partial(sample, options.seed, progress))
+    return kept
 
 
 class FlightStore(Growing[Flight]):
     """A fit to trajectories with trajectories.json and its tables."""
 
     def write(self, out: Path) -> None:
-        """All numbers but the draws."""
         found = self.result
         write_csv(parameter_table(found.flown), out / "parameters.csv")
         if found.process_noise is not None and found.process_noise.histories:
@@ -160,14 +177,6 @@ class FlightStore(Growing[Flight]):
         if found.posteriors:
             write_csv(posterior_table(found.posteriors), out / "posterior.csv")
         write_json(fly_results(found, self.card, self.records, self.source), out / RESULTS)
-
-    def begin(self, found: Flight) -> None:
-        """The numbers so far; posteriors of an earlier run go."""
-        self.result = found
-        for name in ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"):
-            if self.out is not None:
-                (self.out / name).unlink(missing_ok=True)
-        self.keep()
 
     def sample(self, sample: Sampling) -> None:
         """The posterior by each sampler, which takes minutes, and what is said of its chains."""
@@ -178,8 +187,7 @@ class FlightStore(Growing[Flight]):
             for name, posterior in new.items():
                 if self.out is not None:
                     posterior.save(self.out / f"posterior_{name}.nc")
-            said = (*begun.sentences, *posterior_sentences(posteriors))
-            self.keep(posteriors=posteriors, sentences=said)
+            self.keep(posteriors=posteriors, sentences=(*begun.sentences, *posterior_sentences(posteriors)))
 
     def show(self, *, figures: bool, progress: Progress | None) -> None:
         """Histories, figures and page, and what could not be made of them."""
@@ -206,24 +214,10 @@ class FlightStore(Growing[Flight]):
             self.keep((), failed)
 
 
-# --- The fits: coefficients, first values from them, output error, process noise.
-
-
-def check_band(band: tuple[float, float] | None, records: Sequence[FlightRecord], card: Card) -> None:
-    """Refuse a band in which a record has no frequency, and trajectories of effects, before anything is computed."""
-    if band is None:
-        return
-    if card.linear is None:
-        raise InputError(
-            f"trajectories are fitted in the frequency domain for linear cards only; card {card.name} has a model of "
-            "effects, so use bayes-aero identify --frequency"
-        )
-    for record in records:
-        lines_in(band, record.n, record.dt, record.name)
+# --- The fits: coefficients, first values from them, output error.
 
 
 def setting_of(options: FlyOptions, card: Card) -> Setting:
-    """How trajectories are fitted; what is not given is the card's."""
     outputs, initial = (None, {}) if options.flight_path else (card.fly.outputs, card.fly.initial_state)
     if options.outputs is not None:
         names = options.outputs.split(",") if isinstance(options.outputs, str) else options.outputs
@@ -238,24 +232,14 @@ def setting_of(options: FlyOptions, card: Card) -> Setting:
     )
 
 
-def coefficient_fit(
-    records: Sequence[FlightRecord], card: Card, options: FlyOptions, out: Path | None, progress: Progress | None
-) -> tuple[MleResult | None, tuple[str, ...]]:
-    """The fit of the coefficients, as `identify` does it, where they can be formed; what failed unexpectedly."""
-    if options.flight_path or card.linear is not None:
-        return None, ()
-    if progress:
-        progress("coefficients", 0.0)
-
-    def fitted() -> MleResult | None:
-        model, (without_spikes, _) = Model.from_card(card), repaired(records)
-        try:
-            found = fit_mle(model, observe(without_spikes, card, model), seed=options.seed)
-            return without_noise_bias(found, without_spikes, card, model, seed=options.seed)
-        except InputError:
-            return None
-
-    return attempted("The coefficients gave no first values", fitted, None, out, own=bool(card.effect_files))
+def coefficient_fit(records: Sequence[FlightRecord], card: Card, seed: int) -> MleResult | None:
+    """The fit of the coefficients, as `identify` does it, where they can be formed."""
+    model, (without_spikes, _) = Model.from_card(card), repaired(records)
+    try:
+        found = fit_mle(model, observe(without_spikes, card, model), seed=seed)
+        return without_noise_bias(found, without_spikes, card, model, seed=seed)
+    except InputError:
+        return None
 
 
 def output_error_fit(
@@ -266,10 +250,8 @@ def output_error_fit(
     options: FlyOptions,
     progress: Progress | None,
 ) -> TrajectoryFit:
-    """The card's model fitted to the trajectories, and in a band, as the options say.
-
-    It starts from what the fit of the coefficients has found, too: a trajectory has optima far from the flight.
-    """
+    """The card's model fitted to the trajectories, and in a band, from its first values and from those of the
+    coefficients: a trajectory has optima far from the flight."""
     starts = []
     if coefficients is not None:
         near = dict(zip(coefficients.names, coefficients.estimate, strict=True))
@@ -297,10 +279,8 @@ def output_error_fit(
 def flown_dynamics(
     records: Sequence[FlightRecord], card: Card, outputs: Sequence[str], *, path: bool
 ) -> tuple[Flights, Dynamics, list[str]]:
-    """The records end to end without spikes, what flies them, and what to say of it.
-
-    `path`: the recorded accelerations and rates fly them, not the card's model.
-    """
+    """The records end to end without spikes, what flies them (`path`: the recorded accelerations and rates), and
+    notes."""
     notes: list[str] = []
     dynamics: Dynamics
     if path:
@@ -323,27 +303,6 @@ def flown_dynamics(
     notes += [f"States that were not recorded begin at zero or as fitted: {several(unseen)}."] if unseen else []
     notes += spike_notes(spikes)
     return flights, dynamics, notes
-
-
-# --- The fit with process noise beside output error.
-
-
-def process_noise(
-    flown: TrajectoryFit, options: FlyOptions, card: Card, out: Path | None, progress: Progress | None
-) -> tuple[tuple[ProcessNoise | None, Sampling | None], tuple[str, ...]]:
-    """The fit with process noise where it was asked for and output error has a result to start from; what samples its
-    posterior where that was asked for and the fit has converged."""
-    if not (options.process_noise and flown.converged):
-        return (None, None), ()
-    if progress:
-        progress("process noise", 0.9)
-    what, fit = "Process noise was not fitted", partial(with_process_noise, flown)
-    found, failed = attempted(what, fit, None, out, own=bool(card.effect_files))
-    if found is None:
-        return (None, None), failed
-    beside, sample = found
-    wanted = options.posterior and beside.converged
-    return (beside, partial(sample, options.seed, progress) if wanted else None), failed
 
 
 # --- The flight path by itself: errors of sensors, and the records without them.

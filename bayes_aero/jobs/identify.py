@@ -29,8 +29,8 @@ from bayes_aero.inference.validation import (
     validate,
 )
 from bayes_aero.jobs.check import record_checks, repaired
-from bayes_aero.jobs.io.results import identified, put_histories, remove_older, results, save_gp, write_identification
 from bayes_aero.jobs.options import IdentifyOptions
+from bayes_aero.jobs.results import identified, put_histories, results, save_gp, write_identification
 from bayes_aero.jobs.store import Growing, provenance, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise
@@ -45,6 +45,11 @@ from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.residuals.equation_error import Band, lines_in
 
+OLDER = (
+    *(f"posterior_{key}.nc" for key in ("emcee", "nuts", "white")), "gpr.nc", "validation.csv", "next_flight.csv",
+    "next_flight.nc", "report.html", *(f"figures/{name}.png" for name in FIGURES),
+)  # fmt: skip
+
 
 def identify(
     records: Sequence[FlightRecord],
@@ -55,11 +60,9 @@ def identify(
     truth: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Identification:
-    """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends.
-
-    `truth` has the parameters that simulated records were flown with: they are shown beside the estimates.
-    """
-    job = _Job(records, card, options, out, progress)
+    """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends. `truth`:
+    the parameters that simulated records were flown with, shown beside the estimates."""
+    job = IdentificationJob(records, card, options, out=out, progress=progress)
     job.fit(truth)
     if options.frequency is not None:
         job.fit_in_band(options.frequency)
@@ -78,7 +81,7 @@ def identify(
     return job.result
 
 
-class _Job(Growing[Identification]):
+class IdentificationJob(Growing[Identification]):
     """An identification in work: every step adds to it, and puts on disk what it has found."""
 
     def __init__(
@@ -86,27 +89,28 @@ class _Job(Growing[Identification]):
         records: Sequence[FlightRecord],
         card: Card,
         options: IdentifyOptions,
-        out: Path | None,
-        progress: Progress | None,
+        *,
+        model: Model | None = None,
+        out: Path | None = None,
+        progress: Progress | None = None,
     ) -> None:
         if options.frequency is not None:
             for record in records:  # refuses a band in which it has no frequency
                 lines_in(options.frequency, record.n, record.dt, record.name)
         if options.next_flight:
             check_manoeuvres(len(records))
-        card, self.left_out = on_recorded_axes(card, records)
+        card, self.left_out = on_recorded_axes(card, records) if model is None else (card, ())
         self.options, self.progress = options, progress
-        self.model = Model.from_card(card)
+        self.model = model or Model.from_card(card)
         self.repaired, self.spikes = repaired(records)
         self.observations = observe(self.repaired, card, self.model, Forming(options.coefficients))
         self.seconds: dict[str, float] = {}
         self.flown: tuple[SimulatedManoeuvre, ...] = ()
         super().__init__(card, records, out, provenance(card, records, options.seed, options.settings, options))
         if out is not None:
-            writable(out)
+            writable(out, *OLDER)
 
     def write(self, out: Path) -> None:
-        """The tables, and results.json."""
         write_identification(self.result, out)
         write_json(results(self.result, verdict(self.result), self.source, self.flown), out / "results.json")
 
@@ -126,13 +130,13 @@ class _Job(Growing[Identification]):
         with self.timed(name):
             return self.attempt(left_out, do, bad=bad)
 
-    def fit(self, truth: Mapping[str, float] | None) -> None:
+    def fit(self, truth: Mapping[str, float] | None = None, **checks: Any) -> None:
         """Maximum likelihood, of all manoeuvres and of each alone; the sensors are compared before."""
         model, observations, seed = self.model, self.observations, self.options.seed
         forming, many = Forming(self.options.coefficients), len(self.records)
         matched = forming is Forming.MATCHED
         with self.timed("do the sensors agree?"):
-            checks = record_checks(self.records, self.card, seed, self.out)
+            checked = record_checks(self.records, self.card, seed, self.out, **checks)
         said = []
         if many > MAX_SEPARATE_FITS:
             said.append(f"{many} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
@@ -150,9 +154,9 @@ class _Job(Growing[Identification]):
                 {},
                 {},
                 notes=(*self.left_out, *self.spikes, *(rate_notes(self.records) if matched else ()), *said),
-                failures=checks.failures,
-                health=checks.health,
-                consistency=checks.consistency,
+                failures=checked.failures,
+                health=checked.health,
+                consistency=checked.consistency,
                 truth=truth,
                 seconds=self.seconds,
                 forming=forming,
@@ -160,22 +164,19 @@ class _Job(Growing[Identification]):
             if matched:
                 what = "The bias from sensor noise was not subtracted from the estimates"
                 correct = partial(without_noise_bias, raw, self.repaired, self.card, model, seed=seed)
-                mle = self.attempt(what, correct, raw)
-                self.result = replace(self.result, mle=mle)
+                self.result = replace(self.result, mle=self.attempt(what, correct, raw))
             each = partial(fit_each_manoeuvre, model, observations, seed=seed)
             alone = self.attempt("Manoeuvres were not fitted alone", each, {})
             preparation = () if matched else filter_mismatch_notes(self.repaired, self.card, model, raw)
         self.keep(alone=alone, preparation=preparation)
 
     def fit_in_band(self, band: Band) -> None:
-        """The same parameters in the frequency domain."""
         with self.timed("frequency domain"):
             seed = self.options.seed
             found = coefficients_in_band(self.repaired, self.card, self.model, self.result.mle, band, seed=seed)
         self.keep(frequency_sentences(found), frequency=found)
 
     def pool(self) -> None:
-        """Partial pooling of the manoeuvres, and the next flight."""
         do = partial(pooled_manoeuvres, self.result, self.repaired, seed=self.options.seed, progress=self.progress)
         found = self.stage("next flight", "The next flight was left out", do, bad="{}: {}.")
         if found is not None and self.out is not None:
@@ -194,25 +195,13 @@ class _Job(Growing[Identification]):
         self.keep((), put_histories(lambda: identified(self.result), out))
 
     def sample(self) -> None:
-        """The posteriors, one after the other."""
         for key, colour, engine in posterior_plan(Colour(self.options.noise)):
             left_out = f"The posterior by {key} under {colour.value} noise was not sampled"
-            found = self.stage(key, left_out, partial(self.posterior, key, colour, engine))
-            if found is not None:
+            do = partial(sampled, self.result, key, colour, engine, seed=self.options.seed, progress=self.progress)
+            if (found := self.stage(key, left_out, do)) is not None:
                 if self.out is not None:
                     found[0].save(self.out / f"posterior_{key}.nc")
                 self.keep(found[1], posteriors=self.result.posteriors | {key: found[0]})
-
-    def posterior(self, key: str, colour: Colour, engine: Any) -> tuple[Posterior, tuple[str, ...]]:
-        """A posterior, with what is said of its other modes and of the priors that it leans on."""
-        run, seed = self.result, self.options.seed
-        density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
-        mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
-        found = engine(density, mode, seed=seed, progress=self.progress)
-        told = other_modes(mode, f"{key}, {colour.value} noise")
-        if run.mle.conflicts and key == "emcee":
-            told += leaning_sentences(prior_sensitivity(density, found), run.mle.conflicts)
-        return found, told
 
     def train_gp(self) -> None:
         """Gaussian processes beside maximum likelihood; too many samples for the exact process are a note."""
@@ -224,7 +213,6 @@ class _Job(Growing[Identification]):
         self.keep(() if report is None else report.left_out, gp=report)
 
     def show(self, out: Path) -> None:
-        """Figures and the page; then nothing is left of earlier runs."""
         options, drawn = self.options, []
         if options.figures:
             with self.timed("figures"):
@@ -238,16 +226,25 @@ class _Job(Growing[Identification]):
                 failed = put_page(lambda: identification_page(self.result, *shown), out)
             if failed:
                 self.keep((), failed)
-        remove_older(self.result, out, page=options.page, figures=options.figures)
+
+
+def sampled(
+    run: Identification, key: str, colour: Colour, engine: Any, *, seed: int, progress: Progress | None = None
+) -> tuple[Posterior, tuple[str, ...]]:
+    """A posterior, with what is said of its other modes and of the priors that it leans on."""
+    density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
+    mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
+    found = engine(density, mode, seed=seed, progress=progress)
+    notes = other_modes(mode, f"{key}, {colour.value} noise")
+    if run.mle.conflicts and key == "emcee":
+        notes += leaning_sentences(prior_sensitivity(density, found), run.mle.conflicts)
+    return found, notes
 
 
 def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
     """Which posteriors are sampled, under which noise model and by which engine."""
     plan = [("emcee", noise, sample_ensemble), ("nuts", noise, sample_nuts)]
     return plan if noise is Colour.WHITE else [*plan, ("white", Colour.WHITE, sample_ensemble)]
-
-
-# --- Several manoeuvres of an identification: what they say of the next flight.
 
 
 def pooled_manoeuvres(

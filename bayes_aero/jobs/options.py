@@ -42,15 +42,8 @@ Job = TypeVar("Job", bound=Callable[..., Any])
 
 
 def option(default: Any, help: str = "", *, name: str | None = "", kind: Any = None, **row: Any) -> Any:
-    """A field that is an option.
-
-    Args:
-        default: its value where it is not given.
-        help: its text on the command line.
-        name: on the command line, where the field's own name is taken; None: it is no option there.
-        kind: its type on the command line, where the field's is another.
-        row: more of the command line's row: `min`, `max`, `metavar`, `flag` (a switch without its --no-).
-    """
+    """A field that is an option, with `help`; on the command line it has another `name` (None: it is none there) and
+    `kind` where the field's do not serve, and `row`: `min`, `max`, `metavar`, `flag` (a switch without its --no-)."""
     return field(default=default, metadata={"help": help, "name": name, "kind": kind, "row": row})
 
 
@@ -59,8 +52,8 @@ def _seed() -> Any:
 
 
 def _frequency() -> Any:
-    said = "Hz: fit in the frequency domain, too, in this band, where bias and drift drop out."
-    return option(None, said, metavar="LOW HIGH")
+    help = "Hz: fit in the frequency domain, too, in this band, where bias and drift drop out."
+    return option(None, help, metavar="LOW HIGH")
 
 
 class Options:
@@ -72,8 +65,7 @@ class Options:
     @property
     def settings(self) -> dict[str, Any]:
         """Those on which the numbers rest; what was left to the program is absent."""
-        chosen = {name: getattr(self, name) for name in self.SETTINGS}
-        return {n: list(x) if isinstance(x, tuple) else x for n, x in chosen.items() if x is not None}
+        return {n: list(x) if isinstance(x, tuple) else x for n in self.SETTINGS if (x := getattr(self, n)) is not None}
 
     @classmethod
     def kinds(cls) -> dict[str, Any]:
@@ -94,14 +86,7 @@ class ReadingOptions(Options):
 
 @dataclass(frozen=True)
 class IdentifyOptions(Options):
-    """What an identification may be told.
-
-    `coefficients` are formed from signals all filtered alike (`matched`) or as the published ones (`published`).
-    With `next_flight` the manoeuvres are pooled.
-    Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
-    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
-    `frequency`: a band, Hz, in which the parameters are fitted, too.
-    """
+    """What an identification may be told; each option says what it is."""
 
     SETTINGS = ("noise", "split", "coefficients", "frequency")
     APART = ("seed", "noise", "split")
@@ -121,13 +106,7 @@ class IdentifyOptions(Options):
 
 @dataclass(frozen=True)
 class DiagnoseOptions(Options):
-    """What a diagnosis may be told.
-
-    `max_effects` is the number of effects that each stage may add. `test_points` adds the manoeuvres that would decide
-    what is open and the sizes of the causes in a band of frequencies, `trajectories` simulated ones. With
-    `process_noise` the model is compared with innovations, in gusts, instead of coefficients; None: where the records
-    are in gusts.
-    """
+    """What a diagnosis may be told; each option says what it is."""
 
     SETTINGS = ("max_effects", "process_noise")
     seed: int = _seed()
@@ -174,9 +153,7 @@ class FlyOptions(Options):
     )
     priors: bool = option(True, "--no-priors: a fit without priors of parameters and initial states.")
     outputs: Names = option(
-        None,
-        "Outputs to compare, e.g. alpha,q,q_dot; default: the card's, or all but q_dot.",
-        metavar="NAME,NAME",
+        None, "Outputs to compare, e.g. alpha,q,q_dot; default: the card's, or all but q_dot.", metavar="NAME,NAME"
     )
     inputs: str = option(
         LINEAR,
@@ -195,7 +172,6 @@ class FlyOptions(Options):
     flight_path: bool = option(False, name=None)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown."""
         if self.posterior and not self.process_noise:
             raise InputError("a posterior is that of the fit with process noise; ask for process noise, too")
         if self.posterior and not self.priors:
@@ -235,17 +211,12 @@ class PathOptions(Options):
 
     @property
     def fly(self) -> FlyOptions:
-        """The same for the fit to trajectories."""
         return FlyOptions(WHOLE, flight_path=True, **vars(self))
 
 
 @dataclass(frozen=True)
 class QualifyOptions(Options):
-    """What a qualification may be told.
-
-    `card`: of the result, where it is not found by itself; `fitted`: files of its records, likewise. `draws` of every
-    flight. `gusts`: a stated intensity, m/s.
-    """
+    """What a qualification may be told; `fitted` are files of the records of the result."""
 
     card: str | None = option(
         None, "The card of the result, where it is not found by itself.", name="model", metavar="CARD"
@@ -260,7 +231,6 @@ class QualifyOptions(Options):
     seed: int = _seed()
 
     def __post_init__(self) -> None:
-        """Refuse numbers that decide nothing."""
         if not FEWEST <= self.draws <= MOST_DRAWS:
             raise InputError(f"--draws is {self.draws}; give a number from {FEWEST} to {MOST_DRAWS}")
         if self.gusts is not None and not 0.0 <= self.gusts <= MOST_GUSTS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,8 @@ from bayes_aero.flight.record import TOLERANCES, FlightRecord
 from bayes_aero.inference.mle import MAX_SEPARATE_FITS
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.jobs.check import record_checks
+from bayes_aero.jobs.documents import ConsistencyPart, JudgedTolerance, QualificationDocument, TestPart
 from bayes_aero.jobs.finished import FinishedResult, IdentifiedLinear, drawn, read_finished
-from bayes_aero.jobs.io.parts import ConsistencyPart, JudgedTolerance, QualificationDocument, TestPart
 from bayes_aero.jobs.options import QualifyOptions
 from bayes_aero.jobs.store import provenance, writable, write_json
 from bayes_aero.model.observations import despiked, join
@@ -64,10 +65,8 @@ def qualify_result(
     out: Path | None = None,
     progress: Progress | None = None,
 ) -> tuple[Qualification, tuple[str, ...]]:
-    """Qualify the model of a finished result of identify, fly or diagnose, also by `tests` that were not fitted.
-
-    Returns the qualification, and a sentence on each part that could not be made.
-    """
+    """Qualify the model of a finished result, also by `tests` that were not fitted; and sentences on parts that
+    failed."""
     source = read_finished(given, options.card, ", and a card has no uncertainty; give the folder of a result")
     card, records = source.card, source.records("give it with --fitted", options.fitted)
     new = new_records(tests, records, card, source, options.gusts)
@@ -113,24 +112,22 @@ def new_records(
     tests: Sequence[Path], fitted: Sequence[FlightRecord], card: Card, source: FinishedResult, gusts: float | None
 ) -> list[FlightRecord]:
     """Records that were not fitted, read as those were; refused where they were, or the model cannot fly them."""
-    how = fitted[0].read
+    how, linear = fitted[0].read, source.linear
     new = read_records(tests, card.channels, resample=how["resample"], segments=card.segments, split=how["split"])
-    for record in new:
-        for one in fitted:
-            if (shared := repeats_of(one, record)) is not None:
-                raise InputError(
-                    f"{record.name} {shared[0]}; {one.name} was fitted, so it is tested anyway: give records that were "
-                    "not fitted"
-                )
-    name = source.identified.name
-    if source.linear is not None and gusts:
+    for record, before in product(new, fitted):
+        if (shared := repeats_of(before, record)) is not None:
+            raise InputError(
+                f"{record.name} {shared[0]}; {before.name} was fitted, so it is tested anyway: give records that were "
+                "not fitted"
+            )
+    if linear is not None and gusts:
         raise InputError(
-            f"card {name} states a linear system, which does not fly through moving air; leave --gusts out"
+            f"card {linear.name} states a linear system, which does not fly through moving air; leave --gusts out"
         )
-    if source.linear is not None and new and (own := source.linear.rows.by_manoeuvre):
+    if linear is not None and new and linear.rows.by_manoeuvre:
         raise InputError(
-            f"card {name} states {several(own)} for each manoeuvre, so there is no value for record "
-            f"{new[0].name}, which was not fitted; leave it out, or fit a card with one value for all manoeuvres"
+            f"card {linear.name} states {several(linear.rows.by_manoeuvre)} for each manoeuvre, so there is no value "
+            f"for record {new[0].name}, which was not fitted; leave it out, or fit a card with one value for all"
         )
     return new
 
@@ -138,7 +135,6 @@ def new_records(
 def deciding_flights(
     source: FinishedResult, card: Card, flown: SegmentTrajectories, undecided: Sequence[OpenTest], unknown: Uncertain
 ) -> Further | None:
-    """Flights that would decide the undecided tests."""
     if not undecided:
         return None
     if isinstance(source.identified, IdentifiedLinear):
@@ -226,7 +222,6 @@ RESULTS = "qualification.json"
 def qualification_results(
     found: Qualification, card: Card, source: dict[str, Any], failures: Sequence[str] = ()
 ) -> QualificationDocument:
-    """Plain numbers and text, SI and radians."""
     tests = []
     for one in found.tests:
         chance = {"probability": one.chance.value, "standard_error": one.chance.error, "verdict": one.chance.verdict}
@@ -259,43 +254,37 @@ def uncertain(
     source: FinishedResult, flown: SegmentTrajectories, options: QualifyOptions, progress: Progress | None = None
 ) -> tuple[Uncertain, dict[str, str]]:
     """What is not known of the model, and a sentence on where each part comes from; `flown`: its records."""
-    names, told, draws = flown.dynamics.names, source.told, options.draws
+    names, count = flown.dynamics.names, options.draws
     estimate = np.array([source.identified.values[name] for name in names])
-    if "causes" in told:
+    if source.command == "diagnose":
         fit = fit_output_error(flown, start=estimate, max_iterations=0)
         inflation = trajectory_variance_inflation(fit)
-        values = posterior_draws(fit, inflation, options.seed, draws)
-        said = (
+        values = posterior_draws(fit, inflation, options.seed, count)
+        origin = (
             "Normal distribution about the estimates; the covariance is that of the trajectories at these values, for "
             f"coloured residuals (variances times {inflation:.3g})."
         )
     else:  # what the result does not determine stays at its estimate
-        found = drawn(source, names, draws, options.seed)
-        values = np.tile(estimate, (draws, 1))
-        for column, name in enumerate(found.names):
-            values[:, names.index(name)] = found.values[:, column]
-        said = f"{found.origin[0].upper()}{found.origin[1:]}."
-    by_trajectories = source.command == "fly" and not source.filtered  # output error gave the values
-    model = Uncertain(estimate, values, fitted=by_trajectories)
-    origins = {"parameters": said}
-    if by_trajectories:
+        found = drawn(source, names, count, options.seed)
+        values = np.tile(estimate, (count, 1))
+        values[:, [names.index(name) for name in found.names]] = found.values
+        origin = f"{found.origin[0].upper()}{found.origin[1:]}."
+    if source.command == "fly" and not source.filtered:  # output error gave the values
+        model = Uncertain(estimate, values, fitted=True)
         model, more = between_manoeuvres(source, model, flown, options.seed, progress)
-        origins |= more
     else:
-        origins["structure"] = (
-            "The errors of the simulated records, less what the parameters explain: the parameters were not fitted to "
-            "these trajectories."
-        )
-        following = drawn_by_identify(source, names, estimate, draws, options.seed)
-        model = replace(model, following=following)
-        origins["next flight"] = (
-            f"Partial pooling of the manoeuvres by identify ({NEXT_FLIGHT})."
-            if following is not None
-            else "Not counted by itself: the result has no scatter between manoeuvres (identify --next-flight has). "
-            "The errors of the records hold it."
-        )
+        following = drawn_by_identify(source, names, estimate, count, options.seed)
+        model = Uncertain(estimate, values, fitted=False, following=following)
+        more = {
+            "structure": "The errors of the simulated records, less what the parameters explain: the parameters were "
+            "not fitted to these trajectories.",
+            "next flight": "Not counted by itself: the result has no scatter between manoeuvres (identify "
+            "--next-flight has). The errors of the records hold it."
+            if following is None
+            else f"Partial pooling of the manoeuvres by identify ({NEXT_FLIGHT}).",
+        }
     gusts, stated, said = gusts_of(source, options.gusts)
-    return replace(model, gusts=gusts, met=not stated), origins | {"gusts": said}
+    return replace(model, gusts=gusts, met=not stated), {"parameters": origin, **more, "gusts": said}
 
 
 def between_manoeuvres(
@@ -303,19 +292,15 @@ def between_manoeuvres(
 ) -> tuple[Uncertain, dict[str, str]]:
     """Hold-out errors and the scatter between manoeuvres, where there are at least two."""
     count, linear = len(flown.index), source.linear
-    own, flat = (linear.rows.by_manoeuvre, linear.fitted.flat) if linear is not None else ((), ())
+    separate, flat = (linear.rows.by_manoeuvre, linear.fitted.flat) if linear is not None else ((), ())
     alone = "The errors of the fitted records, which are smaller than those of a flight that was not fitted"
-    if not 1 < count <= MAX_SEPARATE_FITS:
-        return model, {
-            "structure": f"{alone}: with {count} manoeuvre{'s' if count > 1 else ''} none was left out.",
-            "next flight": f"Not counted: it needs 2 to {MAX_SEPARATE_FITS} manoeuvres.",
-        }
-    if own:
-        return model, {
-            "structure": f"{alone}: a flight that is not fitted has no value of {several(own)}, which the card states "
-            "for each manoeuvre.",
-            "next flight": f"Not counted: the card states {several(own)} for each manoeuvre.",
-        }
+    if not 1 < count <= MAX_SEPARATE_FITS or separate:
+        why = f"{alone}: with {count} manoeuvre{'s' * (count > 1)} none was left out."
+        needs = f"Not counted: it needs 2 to {MAX_SEPARATE_FITS} manoeuvres."
+        if separate:
+            states = f"the card states {several(separate)} for each manoeuvre"
+            why, needs = f"{alone}: {states}, so that a flight that is not fitted has none.", f"Not counted: {states}."
+        return model, {"structure": why, "next flight": needs}
     if progress:
         progress("fits without each manoeuvre", 0.0)
     inflation = float(source.told["variance_inflation"])
@@ -352,11 +337,11 @@ def drawn_by_identify(
 ) -> Float[np.ndarray, "m k"] | None:
     """The next flight's parameters that identify has drawn, where it was asked to."""
     file = source.folder / NEXT_FLIGHT
-    if "mle" not in source.told or not file.is_file():
+    if source.command != "identify" or not file.is_file():
         return None
     with xr.open_datatree(file, engine="h5netcdf") as tree:
-        one = tree["posterior"].to_dataset()["next_flight"]
-        known, draws = [str(n) for n in one["parameter"].values], np.asarray(one).reshape(-1, one.shape[-1])
+        following = tree["posterior"].to_dataset()["next_flight"]
+        known, draws = following["parameter"].values.astype(str), np.asarray(following).reshape(-1, following.shape[-1])
     kept = np.random.default_rng([seed, 11]).choice(len(draws), count, replace=len(draws) < count)
     values = np.tile(estimate, (count, 1))
     for column, name in enumerate(known):

@@ -33,17 +33,10 @@ PACKAGES = (
 
 
 def provenance(
-    card: Card | None,
-    records: Sequence[FlightRecord],
-    seed: int | None,
-    settings: dict[str, Any],
-    options: Any = None,
+    card: Card | None, records: Sequence[FlightRecord], seed: int | None, settings: dict[str, Any], options: Any = None
 ) -> dict[str, Any]:
-    """All that is needed to make the run again; the only part of the results that names a time or a machine.
-
-    A card, records or a seed that the command did not need are absent. The command is for people: what reads a result
-    goes by inputs, card and `options` (a dataclass).
-    """
+    """All that is needed to make the run again, the only part of the results that names a time or a machine. The
+    command is for people: what reads a result goes by inputs, card and `options` (a dataclass)."""
     files = () if card is None else card.effect_files
     return {
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
@@ -63,13 +56,11 @@ def provenance(
 
 
 def sha256_of(path: Path) -> str:
-    """Of a file."""
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def version(name: str) -> str:
-    """Of an installed package."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -82,7 +73,6 @@ def write_json(content: Any, path: Path) -> None:
 
 
 def as_json(content: Any) -> str:
-    """The text of a JSON document, with its last newline."""
     return json.dumps(plain(content), indent=2, allow_nan=False) + "\n"
 
 
@@ -109,10 +99,8 @@ Result = TypeVar("Result")
 
 
 class Growing(Generic[Result]):
-    """A result with `notes` and `failures`, written whenever there is more of it, whichever thread found it.
-
-    Without a folder `out` nothing is written; `source` is its provenance.
-    """
+    """A result with `notes` and `failures`, written into `out` (None: not) whenever there is more of it, whichever
+    thread found it; `source` is its provenance."""
 
     result: Result
 
@@ -120,11 +108,9 @@ class Growing(Generic[Result]):
         self.card, self.records, self.out, self.source, self.lock = card, records, out, source, RLock()
 
     def write(self, out: Path) -> None:
-        """Its numbers, into the folder."""
         raise NotImplementedError
 
     def keep(self, notes: Sequence[str] = (), failures: Sequence[str] = (), **changes: Any) -> None:
-        """Put more into the result, and on disk."""
         with self.lock:
             before: Any = self.result
             more = {"notes": (*before.notes, *notes), "failures": (*before.failures, *failures)}
@@ -133,10 +119,7 @@ class Growing(Generic[Result]):
                 self.write(self.out)
 
     def attempt(self, what: str, do: Callable[[], Any], otherwise: Any = None, *, bad: str = "") -> Any:
-        """What `do` returns or, if it fails unexpectedly, `otherwise`, and the reason is kept.
-
-        So it is for bad input where there is a form `bad` of the note on it.
-        """
+        """What `do` returns or, if it fails unexpectedly or by bad input with a form `bad` of a note, `otherwise`."""
         try:
             value, failed = attempted(what, do, otherwise, self.out, own=bool(self.card.effect_files))
         except InputError as error:
@@ -176,33 +159,26 @@ def environment() -> dict[str, Any]:
 
 
 def environment_id() -> str:
-    """Eight digits that tell one environment from another."""
     return hashlib.sha256(json.dumps(environment(), sort_keys=True).encode()).hexdigest()[:8]
 
 
-def write_environment(out: Path) -> Path:
-    """Write requirements.txt and environment.json into `out`/environment, once; another environment gets its own.
-
-    Returns the folder that describes the present environment.
-    """
-    folder, own = out / "environment", environment_id()
-    if (folder / "environment.json").is_file():
-        same = False
-        with suppress(ValueError, KeyError, TypeError, RecursionError):
-            same = json.loads((folder / "environment.json").read_text(encoding="utf-8"))["id"] == own
-        folder = folder if same else out / f"environment-{own}"
-    if not (folder / "environment.json").is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        here = environment()
-        lines = [
-            f"# Python {here['python']} on {here['platform']}",
-            "# Restore, in this folder: python -m venv env && env/bin/python -m pip install -r requirements.txt",
-            *(f"{name}=={version}" for name, version in here["packages"].items()),
-            f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)",
-        ]
-        write_whole("\n".join(lines) + "\n", folder / "requirements.txt")
-        write_json(here | {"id": own}, folder / "environment.json")
-    return folder
+def write_environment(out: Path) -> None:
+    """Write requirements.txt and environment.json into `out`/environment; another environment gets its own folder."""
+    here, number = environment(), environment_id()
+    folder = out / "environment"
+    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        if json.loads((folder / "environment.json").read_text(encoding="utf-8"))["id"] == number:
+            return
+        folder = out / f"environment-{number}"
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [
+        f"# Python {here['python']} on {here['platform']}",
+        "# Restore, in this folder: python -m venv env && env/bin/python -m pip install -r requirements.txt",
+        *(f"{name}=={version}" for name, version in here["packages"].items()),
+        f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)",
+    ]
+    write_whole("\n".join(lines) + "\n", folder / "requirements.txt")
+    write_json(here | {"id": number}, folder / "environment.json")
 
 
 # --- The folder of results, in which nothing leads elsewhere, and the file of a finished one; no numerical library.
@@ -211,23 +187,22 @@ RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", 
 """Names that Windows keeps for devices, whatever follows their first full stop."""
 
 
-def writable(folder: Path) -> None:
-    """Make the folder for results, or say why it cannot be; a link in it that leads out of it is refused.
-
-    What is written would land there. The folder may be a link itself, for the user has named it.
-    """
+def writable(folder: Path, *older: str) -> None:
+    """Make the folder for results, without the files `older` of an earlier run, or say why it cannot be. The folder may
+    be a link itself, for the user has named it; a link in it that leads out of it is refused."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        root = folder.resolve()
+        root, leads_out = folder.resolve(), None
         for path in sorted(folder.iterdir()):
             if path.is_symlink() and not path.resolve().is_relative_to(root):
-                raise InputError(f"{path} is a link that leads out of {folder}; remove it, or give another --out")
-        (folder / ERROR).unlink(missing_ok=True)  # of an earlier run
+                leads_out = path
+        for name in (ERROR, *older) if leads_out is None else ():
+            (folder / name).unlink(missing_ok=True)
     except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot write to {folder} ({reason}); give another folder with --out") from None
+    if leads_out is not None:
+        raise InputError(f"{leads_out} is a link that leads out of {folder}; remove it, or give another --out")
 
 
 def safe_name(words: str) -> str:
@@ -261,7 +236,6 @@ def result_file(given: str) -> Path | None:
 
 
 def read_result(file: Path) -> Mapping[str, Any]:
-    """What a result of identify, fly or diagnose says."""
     try:
         if file.stat().st_size > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES} bytes")

@@ -307,12 +307,12 @@ def no_such_axis(effect: Effect, axes: tuple[Axis, ...]) -> str:
     )
 
 
-def effect_named(name: str) -> Effect:
+def effect_named(name: str, among: Mapping[str, Effect] = CATALOGUE) -> Effect:
     """An effect of the catalogue by name; `InputError` with a similar name where there is none."""
-    if name in CATALOGUE:
-        return CATALOGUE[name]
-    close = get_close_matches(name, CATALOGUE, n=1)
-    hint = f"did you mean {close[0]}?" if close else f"the catalogue has {', '.join(CATALOGUE)}"
+    if name in among:
+        return among[name]
+    close = get_close_matches(name, among, n=3, cutoff=0.5)
+    hint = f"did you mean {' or '.join(close)}?" if close else "bayes-aero effects lists them all"
     raise InputError(f"there is no effect {name!r}; {hint}")
 
 

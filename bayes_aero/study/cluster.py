@@ -33,9 +33,9 @@ from bayes_aero import processes
 from bayes_aero.atomic_write import beside, host, sweep
 from bayes_aero.errors import InputError
 from bayes_aero.jobs.store import PACKAGES, environment
+from bayes_aero.processes import FOLDER, cache_folder, ignore_cache_errors
 from bayes_aero.processes import VARIABLE as CORES
-from bayes_aero.study.jit_cache import FOLDER, cache_folder, ignore_cache_errors
-from bayes_aero.study.run import StoppedError, UnitRunner, fail_unit, run_unit
+from bayes_aero.study.run import StoppedError, UnitRunner, run_unit
 
 Report = Callable[[int, int, str, bool], None]
 """Called with the number of finished units, of all units, a text on the progress, and whether there are no workers."""
@@ -43,7 +43,6 @@ Report = Callable[[int, int, str, bool], None]
 MIN_MEMORY = 10**9  # bytes of a worker that has compiled one model
 POLL_SECONDS = 0.02  # between checks of the running units
 COUNT_SECONDS = 1.0  # between counts of the workers
-LOGGERS = ("distributed", "tornado", "asyncio")
 OWN_CLUSTER = {
     # Units have no data to move to disk or to other workers: a paused worker would never resume.
     "distributed.worker.memory.target": False,
@@ -119,36 +118,34 @@ def _runner(client: Client, units: Path, report: Report, remedy: str) -> UnitRun
     """Yields results of `run_unit` in the order in which the units end."""
     address = str(client.scheduler.addr) if client.scheduler else "the scheduler"
 
-    def work_off(driver: Driver, waiting: deque[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
+    def run_units(given: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
+        driver, waiting = Driver.of(units), deque(given)
         running: dict[Future, tuple[Mapping[str, Any], str]] = {}
         total, finished, workers, counted = len(waiting), 0, 0, -COUNT_SECONDS
-        while waiting or running:
-            try:
-                if time.monotonic() - counted > COUNT_SECONDS:
-                    workers, counted = len(cast("dict[str, int]", client.nthreads())), time.monotonic()
-                # One unit for each worker: one that waited at a worker that dies would count as a cause of its death.
-                while waiting and len(running) < workers:
-                    given, folder = waiting[0]
-                    what = (json.dumps(given), str(Path(folder).resolve()), driver)
-                    key = f"{given['name']}-{uuid.uuid4().hex}"
-                    running[client.submit(on_worker, *what, key=key, pure=False)] = waiting[0]
-                    waiting.popleft()
-            except Exception as reason:  # whatever a client without its scheduler raises
-                raise StoppedError(f"the scheduler at {address} is lost") from reason
-            ended = [future for future in running if future.done()]
-            for future in ended:
-                unit = running.pop(future)
-                finished += 1
-                yield outcome_of(future, unit, address, remedy)
-            what = f"{len(running)} in work on {workers} workers" if workers else f"waiting for workers at {address}"
-            report(finished, total, what, not workers)
-            if not ended:
-                time.sleep(POLL_SECONDS)
-
-    def run_units(given: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
-        driver = Driver.of(units)
         try:
-            yield from work_off(driver, deque(given))
+            while waiting or running:
+                try:
+                    if time.monotonic() - counted > COUNT_SECONDS:
+                        workers, counted = len(cast("dict[str, int]", client.nthreads())), time.monotonic()
+                    # One unit for each worker: one that waited at a worker that dies would seem a cause of its death.
+                    while waiting and len(running) < workers:
+                        unit, folder = waiting[0]
+                        what = (json.dumps(unit), str(Path(folder).resolve()), driver)
+                        key = f"{unit['name']}-{uuid.uuid4().hex}"
+                        running[client.submit(on_worker, *what, key=key, pure=False)] = waiting[0]
+                        waiting.popleft()
+                except Exception as reason:  # whatever a client without its scheduler raises
+                    raise StoppedError(f"the scheduler at {address} is lost") from reason
+                ended = [future for future in running if future.done()]
+                for future in ended:
+                    finished += 1
+                    yield outcome_of(future, running.pop(future), address, remedy)
+                what = (
+                    f"{len(running)} in work on {workers} workers" if workers else f"waiting for workers at {address}"
+                )
+                report(finished, total, what, not workers)
+                if not ended:
+                    time.sleep(POLL_SECONDS)
         finally:
             Path(driver.token).unlink(missing_ok=True)
             sweep(units)
@@ -167,7 +164,7 @@ def outcome_of(future: Future, unit: tuple[Mapping[str, Any], str], address: str
         raise reason
     if isinstance(reason, KilledWorker):
         deaths = reason.allowed_failures + 1
-        return fail_unit(*unit, f"its process died {deaths} times, most likely for lack of memory; {remedy}")
+        return run_unit(*unit, failed=f"its process died {deaths} times, most likely for lack of memory; {remedy}")
     raise StoppedError(
         f"the cluster at {address} cannot do units ({_short(reason)}); see that its scheduler and its "
         "workers run this version of bayes-aero with its extra `cluster`"
@@ -175,13 +172,10 @@ def outcome_of(future: Future, unit: tuple[Mapping[str, Any], str], address: str
 
 
 def on_worker(given: str, folder: str, driver: Driver) -> dict[str, Any]:
-    """The function that a worker runs."""
-    limit = getattr(get_worker().memory_manager, "memory_limit", None)
-    return work(json.loads(given), folder, driver, limit)
+    return work(json.loads(given), folder, driver, getattr(get_worker().memory_manager, "memory_limit", None))
 
 
 def _close(what: Client | LocalCluster) -> None:
-    """Close, without waiting for running units."""
     with suppress(Exception):
         what.close(timeout=5)
 
@@ -202,21 +196,15 @@ def interrupts_blocked() -> Iterator[None]:
 
 @contextmanager
 def _logs_silenced() -> Iterator[None]:
-    """Silence Dask's logs of lost connections and dead workers, which are reported by this program."""
-    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in LOGGERS]
-    loggers = [logging.getLogger(name) for name in names]
-    before = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL + 1)
+    """Without Dask's logs of lost connections and dead workers, which are reported by this program."""
+    logging.disable(logging.CRITICAL)
     try:
         yield
     finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)
+        logging.disable(logging.NOTSET)
 
 
 def _short(reason: BaseException) -> str:
-    """The first sentence of an error of Dask."""
     lines = str(reason).strip().splitlines() or [type(reason).__name__]
     return lines[0].partition(". ")[0].strip().rstrip(".:")
 
@@ -255,10 +243,10 @@ class Driver:
 def versions_of() -> dict[str, str]:
     """Versions on which numbers depend, and this package's own source."""
     here = environment()
+    source, packages = here["bayes_aero"], here["packages"]
     found = {"Python": ".".join(platform.python_version_tuple()[:2])}
-    found |= {name: here["packages"].get(name, "none") for name in PACKAGES if name in here["packages"]}
-    own = here["bayes_aero"]
-    return found | {"bayes_aero": f"{own['version']} (source {own['source_sha256'][:8]})"}
+    found |= {name: packages[name] for name in PACKAGES if name in packages}
+    return found | {"bayes_aero": f"{source['version']} (source {source['source_sha256'][:8]})"}
 
 
 def variables() -> dict[str, str]:

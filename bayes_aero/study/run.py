@@ -1,38 +1,276 @@
-"""Units of a study: whether each is up to date, how it is run, whole or not at all, and what all have found."""
+"""A study: its file and units of work, whether each is up to date, how it is run, and what all have found."""
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import itertools
 import json
+import math
+import os
+import re
 import shutil
 import sys
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, replace
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Annotated, Any, Literal, get_args, get_origin
 
-import pandas as pd
+import msgspec
 
 import bayes_aero
 from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
-from bayes_aero.flight.card import read_card
-from bayes_aero.flight.record import is_file
+from bayes_aero.flight.card import Card, read_card, read_table, shipped_cards
+from bayes_aero.flight.reading import READERS
+from bayes_aero.flight.record import is_file, segment_of
+from bayes_aero.jobs.options import (
+    MAX_SEED,
+    DiagnoseOptions,
+    FlyOptions,
+    IdentifyOptions,
+    NoiseName,
+    Options,
+    ReadingOptions,
+    SplitName,
+)
 from bayes_aero.jobs.store import (
     environment,
     environment_id,
     provenance,
+    safe_name,
     sha256_of,
     writable,
     write_environment,
     write_json,
 )
+from bayes_aero.model.model import Model
 from bayes_aero.progress import Progress
 from bayes_aero.report.page import put_page
 from bayes_aero.report.pages.study import StudyContext, study_headline, study_page
-from bayes_aero.study.study import TASKS, Study, Unit, card_of
+
+TASKS: dict[str, type[Options]] = {"identify": IdentifyOptions, "diagnose": DiagnoseOptions, "fly": FlyOptions}
+OPTIONS: dict[str, dict[str, Any]] = {
+    task: {n: kind for of in (options, ReadingOptions) for n, kind in of.kinds().items() if n not in of.APART}
+    for task, options in TASKS.items()
+}
+"""Kind of each option of a task; seeds, and of identify noise and split, are lists of the study instead."""
+MAX_UNITS = 100_000
+MAX_NAME_LENGTH = 90  # characters of a unit's name before its hash
+Some = msgspec.Meta(min_length=1)
+
+
+class StudyFile(msgspec.Struct):
+    """The keys of a study."""
+
+    records: Annotated[tuple[str, ...], Some]
+    title: str = ""
+    task: Literal["identify", "diagnose", "fly"] = "identify"
+    one_by_one: bool = False
+    cards: Annotated[tuple[str, ...], Some] = ("attas",)
+    seeds: Annotated[tuple[Annotated[int, msgspec.Meta(ge=0, le=MAX_SEED)], ...], Some] = (0,)
+    splits: Annotated[tuple[SplitName, ...], Some] = ("random",)
+    noise: Annotated[tuple[NoiseName, ...], Some] = ("buffet-ar1",)
+    effects: Annotated[tuple[tuple[str, ...], ...], Some] = ((),)
+    options: dict[str, Any] = {}
+
+
+KEYS = StudyFile.__struct_fields__
+CHOICES = {"task": tuple(TASKS), "noise": get_args(NoiseName), "splits": get_args(SplitName)}
+LISTS = ("records", "cards", "seeds", "splits", "noise", "effects")
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One job as plain data, to be sent to another process as JSON. `records` and `card` are absolute paths, which are
+    not part of its identity; `shown` are the records relative to the study's folder."""
+
+    name: str
+    task: str
+    records: tuple[str, ...]
+    shown: tuple[str, ...]
+    card: str
+    card_name: str
+    seed: int
+    split: str | None
+    noise: str | None
+    effects: tuple[str, ...]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """A dictionary that `of_json` reads back."""
+        return json.loads(json.dumps(asdict(self)))
+
+    @classmethod
+    def of_json(cls, given: Mapping[str, Any]) -> Unit:
+        return cls(**{**given, **{key: tuple(given[key]) for key in ("records", "shown", "effects")}})
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the unit, without the paths of a machine."""
+        every = {key: value for key, value in self.as_json().items() if key not in ("name", "shown", "card_name")}
+        every |= {"records": list(self.shown), "card": self.card_name}
+        return {key: value for key, value in every.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study file with its units, in the order in which they are listed."""
+
+    path: Path
+    sha256: str
+    title: str
+    task: str
+    units: tuple[Unit, ...]
+
+
+def read_study(path: Path, *, trust_effects: bool = False) -> Study:
+    """Read and check a study. A card that names effect files is refused unless `trust_effects`: they are code, and the
+    user has named only the study."""
+    raw, table = read_table(path, "study")
+    where, folder = f"study {path}", path.parent
+    _known(table, KEYS, where, "key")
+    try:
+        asked = msgspec.convert(table, StudyFile)
+    except msgspec.ValidationError as reason:
+        hint = next((f"; use {', '.join(words)}" for key, words in CHOICES.items() if f"$.{key}" in str(reason)), "")
+        raise InputError(f"{where}: {reason}{hint}") from None
+    for key in LISTS:
+        most, count = Counter(map(repr, getattr(asked, key))).most_common(1)[0]
+        if count > 1:
+            raise InputError(f"{where}: {key} lists {most} twice")
+        if asked.task != "identify" and key in table and key in ("splits", "noise"):
+            raise InputError(f"{where}: {key} is of no use to the task {asked.task}; take it out")
+    options = checked_options(asked.options, asked.task, where)
+    cards = study_cards(asked.cards, folder, where, trust_effects)
+    check_variants(asked.effects, cards, asked.task, where)
+    axes: list[Sequence[Any]] = [
+        record_sets(asked, folder, where),
+        list(cards),
+        asked.effects,
+        *((asked.noise, asked.splits) if asked.task == "identify" else ([None], [None])),
+        asked.seeds,
+    ]
+    count = math.prod(map(len, axes))
+    if count > MAX_UNITS:
+        raise InputError(f"{where}: it makes {count} units, more than {MAX_UNITS}; split it into several studies")
+    units = tuple(unit_of(asked.task, folder, options, choice) for choice in itertools.product(*axes))
+    return Study(path, hashlib.sha256(raw).hexdigest(), asked.title or path.stem, asked.task, units)
+
+
+def card_of(unit: Unit) -> Card:
+    card = read_card(unit.card)
+    return replace(card, effects=(*card.effects, *unit.effects)) if unit.effects else card
+
+
+def unit_of(task: str, folder: Path, options: Mapping[str, Any], choice: Any) -> Unit:
+    records, card, effects, noise, split, seed = choice
+    shown = tuple(Path(os.path.relpath(path, folder)).as_posix() for path in records)
+    unit = Unit("", task, tuple(map(str, records)), shown, card[1], card[0], seed, split, noise, effects, dict(options))
+    more = f"+{len(records) - 1}" if len(records) > 1 else ""
+    parts = [segment_of(records[0]).label + more, Path(card[0]).stem, *effects, noise, split, f"seed{seed}"]
+    words = "-".join(re.sub(r"[^A-Za-z0-9+_.]", "_", part) for part in parts if part)
+    identity = hashlib.sha256(json.dumps(unit.settings, sort_keys=True).encode()).hexdigest()[:8]
+    return replace(unit, name=f"{safe_name(words[:MAX_NAME_LENGTH])}-{identity}")
+
+
+def _known(table: Mapping[str, Any], known: Sequence[str], where: str, what: str) -> None:
+    for key in table:
+        if key not in known:
+            close = get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+            raise InputError(f"{where}: unknown {what} {key!r}; {hint}")
+
+
+def record_sets(asked: StudyFile, folder: Path, where: str) -> list[tuple[Path, ...]]:
+    """The records of each unit: those of a pattern together, or one by one, in the order of their names."""
+    sets: list[tuple[Path, ...]] = []
+    for pattern in asked.records:
+        if any(c in pattern for c in "*?["):
+            start = Path(pattern).anchor
+            try:
+                relative = str(Path(pattern).relative_to(start)) if start else pattern
+                there = (Path(start) if start else folder).glob(relative)
+                found = sorted(p.resolve() for p in there if p.is_file() and p.suffix.lower() in READERS)
+            except (ValueError, OSError) as reason:
+                raise InputError(f"{where}: records {pattern!r} is no pattern of files ({reason})") from None
+            if not found:
+                raise InputError(
+                    f"{where}: no record matches {pattern!r} in {folder.resolve()}; records end in {', '.join(READERS)}"
+                )
+        else:
+            file = segment_of(folder / pattern).file
+            if not is_file(file):
+                raise InputError(
+                    f"{where}: record {pattern!r} does not exist in {folder.resolve()}; give its path there"
+                )
+            found = [Path(str(file.resolve()) + str(folder / pattern).removeprefix(str(file)))]
+        sets += [(path,) for path in found] if asked.one_by_one else [tuple(found)]
+    return list(dict.fromkeys(sets))
+
+
+def study_cards(names: Sequence[str], folder: Path, where: str, trust_effects: bool) -> dict[tuple[str, str], Card]:
+    """Cards by (name as given, absolute path), read once so that a bad one stops the study before it starts."""
+    cards = {}
+    for name in names:
+        path: Path = shipped_cards().get(name) or folder / name
+        if not is_file(path):
+            known = ", ".join(shipped_cards())
+            raise InputError(f"{where}: card {name!r} does not exist; give a .toml file beside the study, or {known}")
+        card = read_card(path.resolve())
+        if card.effect_files and not trust_effects:
+            files = ", ".join(str(file) for file in card.effect_files)
+            raise InputError(
+                f"{where}: card {name!r} names effect files, which are code and would be run ({files}); read them, "
+                "then give --trust-effects"
+            )
+        cards[name, str(path.resolve())] = card
+    return cards
+
+
+def check_variants(given: Sequence[Sequence[str]], cards: Mapping[Any, Card], task: str, where: str) -> None:
+    """Effects added to the cards' models: each variant must make a model with each card, or fly its linear system."""
+    for names in given:
+        for card in cards.values():
+            try:
+                if task == "fly" and card.linear is not None and not names:
+                    from bayes_aero.dynamics.flight import linear_dynamics
+
+                    linear_dynamics(card)
+                else:
+                    Model.from_card(replace(card, effects=(*card.effects, *names)))
+            except InputError as reason:
+                raise InputError(f"{where}: effects {list(names)} with card {card.name}: {reason}") from None
+
+
+WORDS = {bool: "write true or false", str: 'write names in quotes, e.g. "alpha,q"', float: "write a number"}
+
+
+def checked_options(given: dict[str, Any], task: str, where: str) -> dict[str, Any]:
+    """The section [options], each of the kind that the task's options have."""
+    _known(given, tuple(OPTIONS[task]), where, f"option of the task {task}")
+    for key, value in given.items():
+        kind = OPTIONS[task][key]
+        kind = get_args(kind)[0] if get_origin(kind) is UnionType else kind  # what may be left out is optional
+        bad = "it must be positive" if type(value) in (int, float) and value <= 0 else ""
+        try:
+            msgspec.convert(value, kind)
+        except msgspec.ValidationError:
+            bad = WORDS.get(kind, "write a whole number")
+            bad = "write two frequencies in Hz, e.g. [0.1, 1.5]" if get_origin(kind) is tuple else bad
+            bad = f"use one of {', '.join(get_args(kind))}" if get_origin(kind) is Literal else bad
+        if bad:
+            raise InputError(f"{where}: option {key} is {value!r}; {bad}")
+    return given
+
+
+# --- Whether a unit is up to date, and how it is run.
 
 SCHEMA = "bayes_aero/unit/1"
 MANIFEST = "unit.json"
@@ -42,9 +280,9 @@ Task = Callable[[Unit, Path, Progress | None], None]
 
 @dataclass(frozen=True)
 class CaseState:
-    """`word` is done, missing, changed, damaged or failed; `why` says what changed or failed."""
+    """`state` is done, missing, changed, damaged or failed; `why` says what changed or failed."""
 
-    word: str
+    state: str
     why: str = ""
 
 
@@ -72,16 +310,14 @@ def state_of(unit: Unit, folder: Path) -> CaseState:
         return CaseState("damaged", f"{MANIFEST} cannot be read")
     if state != "done":
         return CaseState("failed", str(known.get("error", "")))
-    here = fingerprint(unit)
-    changed = [key for key in here if here[key] != made_from.get(key)]
-    if changed:
-        words = []
-        for key in changed:
-            own, before = here[key], made_from.get(key)
+    words = []
+    for key, now in fingerprint(unit).items():
+        if now != (before := made_from.get(key)):
             names: list[str] = []
-            if isinstance(own, dict) and isinstance(before, dict):
-                names = sorted(n for n in {*own, *before} if own.get(n) != before.get(n))
+            if isinstance(now, dict) and isinstance(before, dict):
+                names = sorted(n for n in {*now, *before} if now.get(n) != before.get(n))
             words.append(f"{key} {', '.join(names)}".strip().replace("_", " "))
+    if words:
         return CaseState("changed", "; ".join(words))
     for name, sha256 in files.items():
         path = folder / name
@@ -92,56 +328,29 @@ def state_of(unit: Unit, folder: Path) -> CaseState:
 
 
 def run_unit(
-    given: Mapping[str, Any], folder: str, *, task: Task | None = None, progress: Progress | None = None
+    given: Mapping[str, Any],
+    folder: str,
+    *,
+    task: Task | None = None,
+    progress: Progress | None = None,
+    failed: str = "",
 ) -> dict[str, Any]:
-    """Run a unit (`Unit.as_json`) into `folder`, which appears when it is complete, with results or with error.txt.
-
-    A pure function of its description and of the files that it names, so that another process can run it. Returns name,
-    state, seconds and error. A disk that cannot be written to is an `InputError` and no failure of the unit.
-    """
-
-    def attempt(unit: Unit, out: Path) -> str:
-        """Empty, or why the task failed: a sentence for bad input, a traceback for a defect in the unit's folder."""
-        try:
-            (task or run_task)(unit, out, progress)
-        except Exception as reason:  # the study continues
-            if no_space(reason):
-                raise
-            bad = isinstance(reason, InputError)
-            write_whole(f"{reason}\n" if bad else traceback.format_exc(), out / ERROR)
-            return str(reason) if bad else f"{type(reason).__name__}: {reason}"
-        return ""
-
-    found = _write_unit(Unit.of_json(given), Path(folder), attempt)
-    if "jax" in sys.modules:
-        from bayes_aero.processes import full_of_programs, give_back_memory
-
-        if full_of_programs():  # units of many sizes compile many programs
-            give_back_memory()
-    return found
-
-
-def fail_unit(given: Mapping[str, Any], folder: str, error: str) -> dict[str, Any]:
-    """Record the failure of a unit that could not do so itself, as one that ended its process."""
-
-    def written(_: Unit, out: Path) -> str:
-        write_whole(f"{error}\n", out / ERROR)
-        return error
-
-    return _write_unit(Unit.of_json(given), Path(folder), written)
-
-
-def _write_unit(unit: Unit, target: Path, attempt: Callable[[Unit, Path], str]) -> dict[str, Any]:
-    began, partial = time.perf_counter(), beside(target)
+    """Run a unit (`Unit.as_json`) into `folder`, which appears when it is complete, with results or with error.txt: a
+    pure function of its description and of the files that it names, so that another process can run it. Returns name,
+    state, seconds and error. `failed`: why it could not be run, which is then recorded."""
+    unit, target = Unit.of_json(given), Path(folder)
+    began, partial, error = time.perf_counter(), beside(target), failed
     shutil.rmtree(partial, ignore_errors=True)
     try:
         partial.mkdir(parents=True)
         if shutil.disk_usage(partial).free < MIN_FREE_BYTES:
-            raise InputError(_disk_full(target))
+            raise OSError(errno.ENOSPC, "")
         made_from = fingerprint(unit)
-        error = attempt(unit, partial)
-        seconds = round(time.perf_counter() - began, 2)
-        state = "failed" if error else "done"
+        if failed:
+            write_whole(f"{failed}\n", partial / ERROR)
+        else:
+            error = _attempted(task or run_task, unit, partial, progress)
+        seconds, state = round(time.perf_counter() - began, 2), "failed" if error else "done"
         files = sorted(p for p in partial.rglob("*") if p.is_file())
         content = {
             "schema": SCHEMA,
@@ -156,27 +365,37 @@ def _write_unit(unit: Unit, target: Path, attempt: Callable[[Unit, Path], str]) 
         write_json(content, partial / MANIFEST)  # last
         put_folder(partial, target)
     except Exception as reason:
+        again = "and give the same command again"
         if no_space(reason):
-            raise InputError(_disk_full(target)) from None
+            kept = "units that were done are kept: free some space"
+            raise InputError(f"the disk of {target.parent} is full; {kept} {again}") from None
         if isinstance(reason, OSError):
-            raise InputError(
-                f"cannot write to {target.parent} ({reason.strerror}); mend that and give the same command again"
-            ) from None
+            raise InputError(f"cannot write to {target.parent} ({reason.strerror}); mend that {again}") from None
         raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+    if "jax" in sys.modules:
+        from bayes_aero.processes import full_of_programs, give_back_memory
+
+        if full_of_programs():  # units of many sizes compile many programs
+            give_back_memory()
     return {"name": unit.name, "state": state, "seconds": seconds, "error": error}
 
 
-def _disk_full(target: Path) -> str:
-    return (
-        f"the disk of {target.parent} is full; units that were done are kept: free some space and give the same "
-        "command again"
-    )
+def _attempted(task: Task, unit: Unit, out: Path, progress: Progress | None) -> str:
+    """Empty, or why the task failed: a sentence for bad input, a traceback for a defect in the unit's folder."""
+    try:
+        task(unit, out, progress)
+    except Exception as reason:  # the study continues
+        if no_space(reason):
+            raise
+        bad = isinstance(reason, InputError)
+        write_whole(f"{reason}\n" if bad else traceback.format_exc(), out / ERROR)
+        return str(reason) if bad else f"{type(reason).__name__}: {reason}"
+    return ""
 
 
 def run_task(unit: Unit, out: Path, progress: Progress | None = None) -> None:
-    """Run the task of a unit; all its files are in `out`."""
     from bayes_aero.flight.reading import read_records
     from bayes_aero.jobs.diagnose import diagnose_records
     from bayes_aero.jobs.fly import fly
@@ -214,8 +433,10 @@ RESULTS = {"identify": "results.json", "diagnose": "diagnosis.json", "fly": "tra
 """Where a task leaves its numbers."""
 
 
-def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> None:
     """units.csv and results.csv with their Parquet twins in `out`; units that are not done have no results."""
+    import pandas as pd  # heavy, and a mistake in a study is reported before
+
     rows, results = [], []
     for unit in units:
         manifest = _json(folder / unit.name / MANIFEST)
@@ -244,14 +465,13 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.Da
             }
         )
         if state == "done":
-            results += [{"unit": unit.name, **about, **row} for row in ROWS[unit.task](found)]
+            results += [{"unit": unit.name, **about, **row} for row in result_rows(unit.task, found)]
     tables = (pd.DataFrame(rows), pd.DataFrame(results, columns=list(RESULT_COLUMNS)))
     for table, name in zip(tables, ("units", "summary"), strict=True):
         text = [c for c in table.columns if c not in NUMBERS]
         parquet = table.astype(dict.fromkeys(text, "string")).to_parquet(index=False)
         write_whole(table.to_csv(index=False, lineterminator="\n"), out / f"{name}.csv", flush=True)
         write_whole(parquet, out / f"{name}.parquet", flush=True)
-    return tables
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -271,50 +491,35 @@ def doubts_of(unit: Unit, folder: Path) -> list[str]:
     return said + (["the sensors disagree along the flight path (see the unit's report)"] if disagree else [])
 
 
-def row_of(method: str, parameter: str, unit: str, estimate: Sequence[Any], status: Any, **more: Any) -> dict[str, Any]:
-    """A result: `estimate` is value, standard deviation and, where it is not symmetric, the interval of 95 %."""
-    value, sd, *interval = estimate
-    low, high = interval or ((None, None) if sd is None else (value - 1.96 * sd, value + 1.96 * sd))
-    row = {"method": method, "parameter": parameter, "unit_of_value": unit, "value": value, "sd": sd}
-    return row | {"low95": low, "high95": high, "status": status} | more
+def result_rows(task: str, found: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """A row for each parameter and method: fits, the deviation taken in their names, posteriors, causes."""
 
+    def row(
+        method: str, parameter: str, unit: str, estimate: Sequence[Any], status: Any, **more: Any
+    ) -> dict[str, Any]:
+        value, sd, *interval = estimate  # and where it is not symmetric, the interval of 95 %
+        low, high = interval or ((None, None) if sd is None else (value - 1.96 * sd, value + 1.96 * sd))
+        about = {"method": method, "parameter": parameter, "unit_of_value": unit, "value": value, "sd": sd}
+        return about | {"low95": low, "high95": high, "status": status} | more
 
-def rows_of_estimates(found: dict[str, Any], methods: dict[str, str]) -> Iterator[dict[str, Any]]:
-    """A row for each parameter and method, which is named after the deviation taken."""
-    for name, p in found.get("parameters", {}).items():
-        for method, key in methods.items():
-            yield row_of(method, name, p["unit"], (p["estimate"], p[key]), found.get("status"))
-
-
-def rows_of_fly(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Output error, then the estimates with process noise where these were asked for."""
-    yield from rows_of_estimates(found, {"output_error": "crb", "output_error_corrected": "sd_corrected"})
-    filtered = found.get("process_noise") or {}
-    for name, estimate in filtered.get("estimates", {}).items():
-        unit = found["parameters"][name]["unit"]
-        yield row_of("process_noise", name, unit, estimate, filtered.get("status"))
-
-
-def rows_of_identify(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Maximum likelihood, then a row for each parameter and posterior."""
-    mle, posterior = found.get("mle", {}), found.get("posterior", {})
-    yield from rows_of_estimates(mle, {"mle": "crb", "mle_corrected": "crb_corrected"})
-    units = {name: p["unit"] for name, p in mle.get("parameters", {}).items()}
-    for engine, status in posterior.get("status", {}).items():
-        for name, m in posterior.get(engine, {}).items():
-            estimate = (m["mean"], m["sd"], *m["ci95"])
-            yield row_of(engine, name, units.get(name, "1"), estimate, status["status"])
-
-
-def rows_of_diagnose(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """A row for each parameter of each named cause."""
     for cause in found.get("causes", []):
         for name, size in cause["parameters"].items():
             estimate = (size["mean"], size["sd"], *size["ci95"])
-            yield row_of(cause["stage"], name, size["unit"], estimate, found.get("verdict"), cause=cause["name"])
-
-
-ROWS = {"identify": rows_of_identify, "diagnose": rows_of_diagnose, "fly": rows_of_fly}
+            yield row(cause["stage"], name, size["unit"], estimate, found.get("verdict"), cause=cause["name"])
+    fit = found.get("mle", {}) if task == "identify" else found
+    fitted, methods = fit.get("parameters", {}), {"output_error": "crb", "output_error_corrected": "sd_corrected"}
+    methods = {"mle": "crb", "mle_corrected": "crb_corrected"} if task == "identify" else methods
+    for name, p in fitted.items():
+        for method, key in methods.items():
+            yield row(method, name, p["unit"], (p["estimate"], p[key]), fit.get("status"))
+    filtered = found.get("process_noise") or {}
+    for name, estimate in filtered.get("estimates", {}).items():
+        yield row("process_noise", name, fitted[name]["unit"], estimate, filtered.get("status"))
+    posterior = found.get("posterior", {}) if task == "identify" else {}
+    for engine, status in posterior.get("status", {}).items():
+        for name, m in posterior.get(engine, {}).items():
+            unit = fitted[name]["unit"] if name in fitted else "1"
+            yield row(engine, name, unit, (m["mean"], m["sd"], *m["ci95"]), status["status"])
 
 
 # --- report.html of a study, from the tables that its units have left.
@@ -322,6 +527,7 @@ ROWS = {"identify": rows_of_identify, "diagnose": rows_of_diagnose, "fly": rows_
 
 def put_report(study: Study, out: Path) -> tuple[str, tuple[str, ...]]:
     """Write the page into the results folder; return its verdict, and sentences on parts that could not be made."""
+
     here = environment()
     facts = {
         "Study": f"{study.path.name}, SHA-256 {study.sha256}",
@@ -334,10 +540,10 @@ def put_report(study: Study, out: Path) -> tuple[str, tuple[str, ...]]:
     return study_headline(context), put_page(lambda: study_page(context), out)
 
 
-def _table(out: Path, name: str) -> pd.DataFrame:
-    table = pd.read_parquet(out / f"{name}.parquet")
-    text = [column for column in table.columns if column not in NUMBERS]
-    return table.assign(**{column: table[column].astype(object).fillna("") for column in text})
+def _table(out: Path, name: str) -> Any:
+    import pandas as pd
+
+    return pd.read_csv(out / f"{name}.csv", keep_default_na=False, na_values={key: [""] for key in NUMBERS})
 
 
 # --- Runs a study: its units one after the other, or by a cluster; a repeated run resumes it.
@@ -365,18 +571,8 @@ class Planned:
 
 
 def plan(study: Study, out: Path) -> list[Planned]:
-    """Every unit with its state; nothing is written."""
     folders = [out / UNITS / unit.name for unit in study.units]
     return [Planned(u, f, state_of(u, f)) for u, f in zip(study.units, folders, strict=True)]
-
-
-def leftovers(study: Study, out: Path) -> list[str]:
-    """Folders of units that the study no longer has."""
-    folder = out / UNITS
-    names = {unit.name for unit in study.units}
-    if not folder.is_dir():
-        return []
-    return sorted(p.name for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".") and p.name not in names)
 
 
 def run_study(
@@ -388,23 +584,29 @@ def run_study(
     runner: UnitRunner | None = None,
 ) -> dict[str, Mapping[str, Any]]:
     """Run the units that are not done; return the result of each by name. The summary is written in any case."""
-    prepare(study, out)
-    due = [p for p in planned if p.state.word != "done"]
+    try:  # the results folder has the study's copy and the environment
+        writable(out)
+        writable(out / UNITS)
+        sweep(out / UNITS)
+        write_whole(study.path.read_text(encoding="utf-8"), out / COPY)
+        write_environment(out)
+    except OSError as error:
+        raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None
+    due = [p for p in planned if p.state.state != "done"]
     said: dict[str, Mapping[str, Any]] = {}
-    work = [(p.unit.as_json(), str(p.folder)) for p in due]
 
-    def one_by_one() -> Iterator[Mapping[str, Any]]:
-        for number, p in enumerate(due):
+    def one_by_one(work: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
+        for number, (given, folder) in enumerate(work):
 
-            def progress(text: str, _: float, number: int = number, unit: Unit = p.unit) -> None:
+            def progress(text: str, _: float, number: int = number) -> None:
                 if report:
-                    report(number, len(due), unit, text)
+                    report(number, len(due), due[number].unit, text)
 
             progress("reading", 0.0)
-            yield run_unit(p.unit.as_json(), str(p.folder), progress=progress)
+            yield run_unit(given, folder, progress=progress)
 
     try:
-        for outcome in runner(work) if runner else one_by_one():
+        for outcome in (runner or one_by_one)([(p.unit.as_json(), str(p.folder)) for p in due]):
             said[str(outcome["name"])] = outcome
     except BaseException:
         with suppress(OSError):  # the reason why the study stopped is reported instead
@@ -418,18 +620,3 @@ def run_study(
             "same command again"
         ) from None
     return said
-
-
-def prepare(study: Study, out: Path) -> None:
-    """The results folder with the study's copy and the environment."""
-    try:
-        writable(out)
-        writable(out / UNITS)
-        sweep(out / UNITS)
-        text = study.path.read_text(encoding="utf-8")
-        copy = out / COPY
-        if not copy.is_file() or copy.read_text(encoding="utf-8") != text:
-            write_whole(text, copy)
-        write_environment(out)
-    except OSError as error:
-        raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None

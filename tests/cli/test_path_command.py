@@ -18,7 +18,7 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs import fly as job
-from bayes_aero.jobs.io.results import Flight
+from bayes_aero.jobs.results import Flight
 
 CARD = """
 title = "Invented aircraft"

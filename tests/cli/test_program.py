@@ -4,9 +4,7 @@ import json
 import re
 import subprocess
 import sys
-import time
 from functools import reduce
-from types import SimpleNamespace
 from typing import get_args
 from unittest.mock import Mock, patch
 
@@ -18,18 +16,16 @@ import stranger_six
 from calling import answer, called, holds, page_of, recorded, succeeded, validated
 from markupsafe import escape
 
-from bayes_aero.cli import app, main, terminal
+from bayes_aero.cli import app, main
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
 from bayes_aero.diagnosis.result import WINDOW
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.entry import _heed
 from bayes_aero.flight import reading
-from bayes_aero.flight.card import read_card
 from bayes_aero.inference.validation import SplitKind
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs import options
+from bayes_aero.jobs.documents import document_schema
 from bayes_aero.jobs.finished import FORMS
-from bayes_aero.jobs.io.documents import document_schema
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.records import Forming
 from bayes_aero.simulate import demo
@@ -70,20 +66,6 @@ def test_the_catalogue_is_listed_and_explained(program):
     assert found["flow_separation"]["parameters"][0]["bounds"] == [1.0, 200.0]
 
 
-def test_the_catalogue_is_a_page_too(program, tmp_path):
-    succeeded(program("effects", "--model", "attas", "--out", "all"))
-    assert json.loads((tmp_path / "all" / "effects.json").read_text())["effects"][0]["name"] in CATALOGUE
-    html = page_of(tmp_path / "all")
-    assert all(f"<summary>{name}</summary>" in html for name in CATALOGUE)
-    assert "Klein and Morelli" in html
-    assert html.count("in the card&#39;s model</td>") == len(read_card("attas").effects)
-    assert (tmp_path / "all" / "figures" / "channels.png").stat().st_size > 5000
-    assert program("effects", "pitch_rate_bias", "--out", "one", "--json").code == 0
-    one = page_of(tmp_path / "one")
-    assert "Effect: pitch_rate_bias" in one
-    assert "flow_separation" not in one
-
-
 def test_an_interruption_says_what_is_kept(program, monkeypatch, flights):
     def interrupted(*_, out, **__):
         out.mkdir()
@@ -98,20 +80,6 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch, flights):
     done = program("identify", flights.sound)
     assert done.code == INTERRUPTED
     assert "nothing had been written" in done.err
-
-
-@pytest.mark.usefixtures("interruptible")
-def test_a_ctrl_c_that_a_library_drops_is_raised_again():
-    """JAX hangs a callback on garbage collection; what is raised in it is printed and forgotten."""
-    stop = {"exc_type": KeyboardInterrupt, "exc_value": KeyboardInterrupt()}
-    dropped = SimpleNamespace(**stop, exc_traceback=None, err_msg=None, object=None)
-
-    def callback():
-        _heed(dropped)
-        time.sleep(5.0)
-
-    with pytest.raises(KeyboardInterrupt):
-        callback()
 
 
 def test_nothing_of_an_earlier_run_stands_beside_a_later_one_and_json_is_all_on_stdout(program, flights, tmp_path):
@@ -148,7 +116,7 @@ def test_an_unexpected_failure_is_one_sentence_and_a_traceback_if_asked_for(prog
 
 def test_an_effect_on_the_aircraft_is_flown_by_a_program_of_its_own(tmp_path):
     """A process that has read no record flies an aircraft whose mass is a traced number."""
-    given = ("simulate", "--effect", "mass_scale=0.06", "--duration", "8", "--no-page", "--out", tmp_path / "m.csv")
+    given = ("simulate", "--effect", "mass_scale=0.06", "--duration", "8", "--out", tmp_path / "m.csv")
     done = subprocess.run([sys.executable, "-m", "bayes_aero", *given], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     truth = json.loads((tmp_path / "m.csv.truth.json").read_text())
@@ -193,25 +161,6 @@ def test_nothing_heavy_is_loaded(files, code, arguments):
     found, loaded = json.loads(done.stderr.splitlines()[-1])
     assert found == code
     assert set(loaded).isdisjoint(ANY if arguments == "--help" else HEAVY), done.stderr
-
-
-SPELLED = [(command, given, instead) for command, option, instead in terminal.GONE for given in option.split("/")]
-
-
-@pytest.mark.parametrize(("command", "option", "instead"), SPELLED)
-@pytest.mark.parametrize("value", ["", "=x"])
-def test_an_option_that_is_gone_says_what_to_use(program, command, option, instead, value):
-    done = program(command, "no_such_file", option + value)
-    assert (done.code, done.out) == (2, "")
-    assert done.err == f"error: {option} of {command} is gone: {instead}\n"
-    assert option not in program(command, "--help").out.split()
-
-
-def test_other_commands_and_names_of_files_are_left_alone(program, monkeypatch):
-    monkeypatch.setattr(terminal, "GONE", (("check", "--old/--no-old", "leave it out"),))
-    assert "--no-old of check is gone: leave it out" in program("check", "a.csv", "--no-old").err
-    assert "gone" not in program("path", "a.csv", "--no-old").err
-    assert "gone" not in program("check", "--", "--no-old").err
 
 
 SETTINGS = ("--noise", "white", "--no-gp", "--no-figures", "--next-flight")

@@ -21,8 +21,7 @@ from bayes_aero.flight.record import write_record
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs.store import write_json
 from bayes_aero.study import run as units
-from bayes_aero.study.run import RESULTS
-from bayes_aero.study.study import KEYS, OPTIONS, read_study
+from bayes_aero.study.run import KEYS, OPTIONS, RESULTS, read_study
 
 STUDY = """
 title = "two records"
@@ -294,13 +293,14 @@ def test_linear_cards_fly_and_are_verified(program, fly_folder):
 BAD = [
     ("title", "titel", "did you mean 'title'"), ("flights/*.csv", "flights/none.csv", "flights/none.csv"),
     ("flights/*.csv", "flights/*.mat", "no record matches"), ("flights/*.csv", "/nowhere/*.csv", "no record matches"),
-    ('["white"]', '["pink"]', "'pink'"), ('["white"]', '"white"', "list"),
+    ('["white"]', '["pink"]', "'pink'"), ('["white"]', '"white"', "Expected `array`"),
     ("options.gp", "options.gpr", "did you mean 'gp'"), ("gp = false", "gp = 1", "true or false"),
-    ("one_by_one = true", 'cards = ["nobody"]', "nobody"), ("one_by_one = true", "seeds = [-1]", "-1"),
+    ("one_by_one = true", 'cards = ["nobody"]', "nobody"),
+    ("one_by_one = true", "seeds = [-1]", "`int` >= 0 - at `$.seeds[0]`"),
     ("one_by_one = true", "seeds = [1, 1]", "twice"),
     ("one_by_one = true", 'effects = [["thrust_leg"]]', "thrust_lag"),
-    ("one_by_one = true", 'effects = ["thrust_lag"]', "lists"),
-    ("one_by_one = true", 'task = "guess"', "identify, diagnose"),
+    ("one_by_one = true", 'effects = ["thrust_lag"]', "Expected `array`"),
+    ("one_by_one = true", 'task = "guess"', "identify, diagnose, fly"),
     ("one_by_one = true", 'task = "diagnose"', "noise is of no use"), ("one_by_one = true", "one_by_one = tru", "TOML"),
 ]  # fmt: skip
 BAD_FLY = [

@@ -35,8 +35,8 @@ from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.validation import filter_mismatch_notes
+from bayes_aero.jobs.documents import ConsistencyPart
 from bayes_aero.jobs.identify import identify
-from bayes_aero.jobs.io.parts import ConsistencyPart
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe

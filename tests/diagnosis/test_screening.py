@@ -47,7 +47,7 @@ from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.covariance import MAX_ROOT, ORDER, standard_error_of_sum
-from bayes_aero.jobs.io.documents import AbsorbedPart, document_schema
+from bayes_aero.jobs.documents import AbsorbedPart, document_schema
 from bayes_aero.jobs.store import plain
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join

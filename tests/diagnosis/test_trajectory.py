@@ -60,7 +60,7 @@ from bayes_aero.inference.prediction_error import GUSTS
 from bayes_aero.inference.results import MleResult, MleStatus, OutputErrorStatus
 from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.fly import fly
-from bayes_aero.jobs.io.results import part_of_errors
+from bayes_aero.jobs.results import part_of_errors
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.parameter import Parameter, Prior

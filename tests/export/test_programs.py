@@ -15,8 +15,7 @@ from exported_models import everything, modelled, random_signals, six, stall
 from bayes_aero.effect import Disturbance
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.export.identified import Draws, Identified, about
-from bayes_aero.export.program import translated
+from bayes_aero.export.identified import Draws, Identified, about, translated
 from bayes_aero.export.simulators import jsbsim_files, slave_source
 from bayes_aero.export.tables import ACCURACY, write_tables
 from bayes_aero.flight.card import read_card

@@ -35,7 +35,7 @@ from bayes_aero.flight.record import write_record
 from bayes_aero.jobs import store
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.study import run as unit
-from bayes_aero.study.study import read_study
+from bayes_aero.study.run import read_study
 
 ODD = (
     None, True, 0, -1, 1, 10**12, 10**30, 10**5000, 2**63, 0.5, -0.0, 1e308, 5e-324, math.nan, math.inf, -math.inf, "",
@@ -342,12 +342,12 @@ def test_damaged_json_in_a_results_folder(tmp_path, content):
     assert store.write_environment(tmp_path).name.startswith("environment-")
     (tmp_path / unit.MANIFEST).write_text(content)
     one = unit.Unit("u", "identify", (), (), "attas", "attas", 0, None, None, ())
-    assert unit.state_of(one, tmp_path).word == "damaged"
+    assert unit.state_of(one, tmp_path).state == "damaged"
     for name in ("/etc/hostname", "../../../../../../etc/hostname", "a\0b", "x" * 300):
         made_from = unit.fingerprint(one)
         manifest = {"files": {name: ""}, "made_from": made_from, "state": "done"}
         unit.write_json(manifest, tmp_path / unit.MANIFEST)
-        assert unit.state_of(one, tmp_path).word == "damaged"
+        assert unit.state_of(one, tmp_path).state == "damaged"
 
 
 @pytest.mark.parametrize(

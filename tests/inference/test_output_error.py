@@ -40,7 +40,7 @@ from bayes_aero.inference.output_error import (
 from bayes_aero.inference.prediction_error import fit_prediction_error
 from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.jobs.fly import fly
-from bayes_aero.jobs.io.results import fly_results
+from bayes_aero.jobs.results import fly_results
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.parameter import Prior

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.flight.card import read_card
-from bayes_aero.jobs.io.parts import Coefficient, Output
+from bayes_aero.jobs.documents import Coefficient, Output
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.model.records import Forming

@@ -10,7 +10,7 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, s
 
 from bayes_aero.diagnosis.result import FITTED, START, Error, SimulatedManoeuvre, TrajectoryFit, theil_parts
 from bayes_aero.jobs.fly import fly
-from bayes_aero.jobs.io.results import Flight
+from bayes_aero.jobs.results import Flight
 from bayes_aero.report.pages.study import StudyContext
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}

@@ -15,7 +15,7 @@ from PIL import Image
 from bayes_aero.diagnosis.result import INNOVATIONS, TRAJECTORIES, DiagnosisView
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.results import PosteriorStatus
-from bayes_aero.jobs.io.results import Outcome
+from bayes_aero.jobs.results import Outcome
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.page import (

@@ -12,7 +12,7 @@ from report_samples import CARD, N, flight, records, study_told, with_offsets
 from bayes_aero.diagnosis.result import FlownMode, Motion, TheilParts
 from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.jobs import fly as job
-from bayes_aero.jobs.io.results import RESULTS
+from bayes_aero.jobs.results import RESULTS
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.page import Fold, HtmlTable, Plot, page_table, put_page, render
 from bayes_aero.report.pages.fly import (

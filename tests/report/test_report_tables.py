@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.result import Compared, GustHistory, HoldoutScores, Pr
 from bayes_aero.diagnosis.selection_state import DEFAULT
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.results import Marginal, MleStatus, NextFlight, PosteriorStatus, Scores
-from bayes_aero.jobs.io.results import results
+from bayes_aero.jobs.results import results
 from bayes_aero.jobs.store import as_json
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter, Prior

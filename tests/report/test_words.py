@@ -18,7 +18,7 @@ from bayes_aero.effect import Untestable
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import parse_card, read_card
 from bayes_aero.inference.results import MleStatus, PosteriorStatus
-from bayes_aero.jobs.io.documents import ChangePart, document_schema
+from bayes_aero.jobs.documents import ChangePart, document_schema
 from bayes_aero.jobs.store import plain
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign

@@ -21,10 +21,10 @@ from bayes_aero.errors import InputError, plain_line
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import score
 from bayes_aero.jobs import diagnose as job
+from bayes_aero.jobs import results as histories
 from bayes_aero.jobs.diagnose import diagnose_records, hide_one
-from bayes_aero.jobs.io import results as histories
-from bayes_aero.jobs.io.results import Outcome, diagnosis_results
 from bayes_aero.jobs.options import DiagnoseOptions
+from bayes_aero.jobs.results import Outcome, diagnosis_results
 from bayes_aero.jobs.store import provenance, write_json
 from bayes_aero.report.figures import diagnosis
 from bayes_aero.simulate.injection import hidden_records

@@ -18,7 +18,7 @@ from bayes_aero.model.observations import marks, observe
 from bayes_aero.model.records import Forming, with_sums
 from bayes_aero.simulate.demo import TRUTH, Request
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable, hidden_flights, hidden_records, synthetic
-from bayes_aero.study.study import read_study
+from bayes_aero.study.run import read_study
 
 QUIET = {"noise": "white", "sensor_noise": 0.0}
 CHANNEL = [e.name for e in CATALOGUE.values() if e.stage is Stage.CHANNEL and e.acts_on(FLOWN_AXES)]

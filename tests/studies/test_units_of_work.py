@@ -13,16 +13,15 @@ from threading import Event, get_ident
 import pytest
 
 from bayes_aero import atomic_write as durable
+from bayes_aero import processes as compiled
 from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.jobs.diagnose import in_background
-from bayes_aero.processes import cores
+from bayes_aero.processes import cache_folder, cores
 from bayes_aero.report.page import put_page
 from bayes_aero.study import cluster
-from bayes_aero.study import jit_cache as compiled
 from bayes_aero.study.cluster import Driver, work
-from bayes_aero.study.jit_cache import cache_folder
-from bayes_aero.study.run import MANIFEST, fail_unit, run_unit
+from bayes_aero.study.run import MANIFEST, run_unit
 
 LONG = 20.0  # s: a test that waits so long has failed
 
@@ -39,13 +38,13 @@ def test_both_run_at_once_and_a_failure_is_that_of_who_waits():
     with in_background(job) as running:
         assert there.wait(LONG)
         here.set()
-        assert running.result() != get_ident()
+        assert running() != get_ident()
 
     def job(_):
         raise ValueError("no such luck")
 
     with pytest.raises(ValueError, match="no such luck"), in_background(job) as running:
-        running.result()
+        running()
 
 
 def test_it_is_shown_where_it_is_only_while_it_is_waited_for():
@@ -60,7 +59,7 @@ def test_it_is_shown_where_it_is_only_while_it_is_waited_for():
     with in_background(job, lambda *row: shown.append(row)) as running:
         assert told.wait(LONG)
         assert shown == []
-        running.result()
+        running()
     assert shown == [("waited for", 0.9)]
 
 
@@ -196,26 +195,6 @@ def filled(folder: Path, text: str) -> Path:
     return folder
 
 
-def test_a_kill_between_the_renames_leaves_what_was_there(tmp_path, monkeypatch, dead):
-    target = filled(tmp_path / "unit", "old")
-    replace = os.replace
-
-    def killed(source, to):
-        if Path(to) == target:
-            raise KeyboardInterrupt
-        replace(source, to)
-
-    monkeypatch.setattr(os, "getpid", lambda: dead)
-    monkeypatch.setattr(os, "replace", killed)
-    with pytest.raises(KeyboardInterrupt):
-        put_folder(filled(beside(target), "new"), target)
-    assert not target.exists()
-    monkeypatch.undo()
-    sweep(tmp_path)
-    assert (target / "results.json").read_text() == "old"
-    assert [path.name for path in tmp_path.iterdir()] == ["unit"]
-
-
 def test_a_neighbour_that_puts_the_same_unit_first_is_replaced(tmp_path, monkeypatch):
     target = tmp_path / "unit"
     replace, raced = os.replace, []
@@ -294,7 +273,7 @@ def test_histories_on_a_full_disk_are_an_error_and_no_crash(tmp_path):
     """In a process of its own, in which no file may exceed 100 kB; it must end as any other does."""
     code = (
         "import sys, resource; from pathlib import Path; import numpy as np, xarray as xr\n"
-        "from bayes_aero.jobs.io.results import put_histories\n"
+        "from bayes_aero.jobs.results import put_histories\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
         "group = xr.Dataset({'x': ('sample', np.random.default_rng(0).normal(size=100_000))})\n"
         "try: put_histories(lambda: {'one': group}, Path(sys.argv[1]))\n"
@@ -347,7 +326,7 @@ def test_a_full_disk_is_told_by_a_page_and_by_h5py_in_words_alone(tmp_path):
 
 
 def test_a_failure_told_from_outside_is_kept_as_one_told_from_inside(tmp_path, given):
-    told = fail_unit(given, str(tmp_path / "units" / "record-1"), "its process died")
+    told = run_unit(given, str(tmp_path / "units" / "record-1"), failed="its process died")
     assert (told["state"], told["error"]) == ("failed", "its process died")
     folder = tmp_path / "units" / "record-1"
     assert (folder / ERROR).read_text() == "its process died\n"

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Int
 from msgspec import UNSET
 
 from bayes_aero.atomic_write import write_whole
@@ -29,7 +28,6 @@ from bayes_aero.diagnosis.result import (
     TrajectoryFit,
     View,
 )
-from bayes_aero.diagnosis.result import SimulatedManoeuvre as FlightPath
 from bayes_aero.errors import failure, plain_line
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -44,12 +42,11 @@ from bayes_aero.inference.results import (
     NextFlight,
     Posterior,
 )
-from bayes_aero.jobs.io import documents, parts
+from bayes_aero.jobs import documents as parts
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.jobs.store import picked
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.pages.diagnosis import sentences
 from bayes_aero.report.pages.estimates import flown
 from bayes_aero.report.pages.fly import parameter_rows
@@ -63,38 +60,32 @@ Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated reco
 
 @dataclass(frozen=True)
 class Outcome:
-    """A diagnosis with all that is shown of it.
-
-    `named`: each hidden effect is first, named, ambiguous, minor or missed. `test_points` are the manoeuvres that
-    decide all that is open, `in_band` the sizes of the causes in a band of frequencies, `failures` parts that
-    failed unexpectedly.
-    """
+    """A diagnosis with all that is shown of it."""
 
     view: DiagnosisView
     hidden: Hidden | None = None
-    named: Mapping[str, str] = field(default_factory=dict)
+    named: Mapping[str, str] = field(default_factory=dict)  # each hidden effect: first, named, ambiguous, minor, missed
     notes: tuple[str, ...] = ()
     health: tuple[HealthFinding, ...] = ()
     consistency: Consistency | None = None
-    failures: tuple[str, ...] = ()
-    test_points: Mapping[str, Any] = field(default_factory=dict)
-    in_band: CausesInBand | None = None
+    failures: tuple[str, ...] = ()  # parts that failed unexpectedly
+    test_points: Mapping[str, Any] = field(default_factory=dict)  # the manoeuvres that decide all that is open
+    in_band: CausesInBand | None = None  # sizes of the causes in a band of frequencies
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """The finding itself."""
         return self.view.diagnosis
 
 
 def diagnosis_results(
     outcome: Outcome, card: Card, records: Sequence[FlightRecord], provenance: Mapping[str, Any]
-) -> documents.DiagnosisDocument:
+) -> parts.DiagnosisDocument:
     """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
     view, d = outcome.view, outcome.diagnosis
     seen = view if isinstance(view, View) else None  # coefficients; else only trajectories were compared
     named = {(c.stage, c.name) for c in d.causes}
     models = {} if seen is None else {"before": seen.card, "after": seen.extended}
-    return documents.DiagnosisDocument.of(
+    return parts.DiagnosisDocument.of(
         d,
         card=card,
         records=record_parts(records, card),
@@ -106,12 +97,12 @@ def diagnosis_results(
         terms=[term_part(one) for one in d.terms],
         cancelling=d.together,
         screening=[
-            documents.ScreenedPart.of(s, stage=r.stage, threshold=r.threshold, cause=(r.stage, s.effect) in named)
+            parts.ScreenedPart.of(s, stage=r.stage, threshold=r.threshold, cause=(r.stage, s.effect) in named)
             for r in view.rankings
             for s in r.candidate_scores
         ],  # every candidate in the first election of each stage, the highest score first
         base_parameters=view.moves,
-        covariance=view.covariance and documents.CovariancePart.of((*view.covariance, "coloured")),
+        covariance=view.covariance and parts.CovariancePart.of((*view.covariance, "coloured")),
         residuals={when: model.composition for when, model in models.items()},
         trajectories=trajectories_part(view.trajectories, card),
         stall={} if seen is None else {name: stall.numbers() for name, stall in seen.stalls.items()},
@@ -121,37 +112,36 @@ def diagnosis_results(
         notes=(*d.notes, *outcome.notes),
         failures=outcome.failures,
         provenance=provenance,
-        hidden=UNSET if outcome.hidden is None else documents.HiddenPart.of((outcome.hidden, outcome.named)),
+        hidden=UNSET if outcome.hidden is None else parts.HiddenPart.of((outcome.hidden, outcome.named)),
     )
 
 
-def term_part(found: FoundTerm) -> documents.TermPart:
-    """A form of unexplained structure."""
+def term_part(found: FoundTerm) -> parts.TermPart:
     term, others = found.term, {term.name: weight for term, weight in found.others}
-    return documents.TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
+    return parts.TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
 
 
-def part_of_errors(tested: Tested | None, compared: str) -> documents.TestedPart:
+def part_of_errors(tested: Tested | None, compared: str) -> parts.TestedPart:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
-        return documents.TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
-    outputs = {n: documents.TestedOutput.of(one, unit=STANDARD_CHANNELS[n].unit) for n, one in tested.outputs.items()}
-    return documents.TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
+        return parts.TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
+    outputs = {n: parts.TestedOutput.of(one, unit=STANDARD_CHANNELS[n].unit) for n, one in tested.outputs.items()}
+    return parts.TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
 
 
 def record_parts(records: Sequence[FlightRecord], card: Card) -> list[parts.RecordPart]:
     """The records at a glance, with the flown range of each channel (SI), a spike left out."""
-    told = []
+    rows = []
     for r in records:
         channels = {name: np.asarray(x, dtype=float) for name, x in with_sums(r, card).items()}
         if "alpha" in channels and "alpha_dot" not in channels:  # its rate, which effects read
             channels["alpha_dot"] = np.asarray(differentiate(smooth(channels["alpha"]), r.dt))
         ranges = {name: tuple(map(float, np.quantile(x, FLOWN))) for name, x in channels.items()}
-        told.append(parts.RecordPart.of((r.name, r.n, r.dt, float(np.ptp(r.time)), ranges)))
-    return told
+        rows.append(parts.RecordPart.of((r.name, r.n, r.dt, float(np.ptp(r.time)), ranges)))
+    return rows
 
 
-def cause_part(cause: Cause) -> documents.CausePart:
+def cause_part(cause: Cause) -> parts.CausePart:
     """One named cause, and what it gains on data that were not fitted."""
     gain, when = cause.gain, {"before": cause.gain.before, "after": cause.gain.after}
     scores = [(key, word, by) for key in ("r2", "rmse", "r", "theil") for word, by in when.items()]
@@ -160,26 +150,26 @@ def cause_part(cause: Cause) -> documents.CausePart:
         for name in gain.before
         if name in gain.after
     }
-    return documents.CausePart.of(cause, gain=documents.GainPart.of(gain, by_coefficient=by_coefficient))
+    return parts.CausePart.of(cause, gain=parts.GainPart.of(gain, by_coefficient=by_coefficient))
 
 
 # --- Simulated trajectories.
 
 
-def trajectories_part(flown: Trajectories | None, card: Card) -> documents.TrajectoriesPart:
+def trajectories_part(flown: Trajectories | None, card: Card) -> parts.TrajectoriesPart:
     """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
     if flown is None:
-        return documents.TrajectoriesPart()
+        return parts.TrajectoriesPart()
     before, after, asked = flown.card, flown.extended, flown.asked
-    return documents.TrajectoriesPart.of(
+    return parts.TrajectoriesPart.of(
         flown,
         status={"card": before.status.name, "extended": after.status.name},
         at_bound={"card": before.at_bound, "extended": after.at_bound},
-        causes={name: documents.KeptPart(*missed, name in asked.kept) for name, missed in asked.missed.items()},
+        causes={name: parts.KeptPart(*missed, name in asked.kept) for name, missed in asked.missed.items()},
         tolerances=stated_tolerances(card, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}),
         paths=[path_part(parts.ComparedPath, path) for path in flown.paths],
         parameters={
-            name: documents.FlownEstimate(
+            name: parts.FlownEstimate(
                 before.values.get(name),
                 value,
                 flown.deviation[name],
@@ -193,7 +183,6 @@ def trajectories_part(flown: Trajectories | None, card: Card) -> documents.Traje
 
 
 def stated_tolerances(card: Card, units: Mapping[str, str]) -> dict[str, parts.StatedTolerance]:
-    """The card's tolerances of these outputs."""
     stated = {name: t for name, t in card.tolerances.items() if name in units}
     return {name: parts.StatedTolerance(t.value, units[name], t.source) for name, t in stated.items()}
 
@@ -212,20 +201,13 @@ def path_part(
     return kind.of(path, outputs=outputs)
 
 
-# --- results.json: what one identification found, in a versioned schema.
+# --- results.json.
 
 
 def results(
-    identification: Identification,
-    verdict: list[str],
-    provenance: dict[str, Any],
-    simulated: Sequence[SimulatedManoeuvre] = (),
+    run: Identification, verdict: list[str], provenance: dict[str, Any], simulated: Sequence[SimulatedManoeuvre] = ()
 ) -> parts.IdentificationDocument:
-    """The table of contents of a run as plain numbers and text; parts not yet computed are absent.
-
-    `simulated` are the manoeuvres flown with the fitted coefficients.
-    """
-    run = identification
+    """A run as plain numbers and text, parts not yet computed absent; `simulated`: flown with the fitted values."""
     alone = {name: parts.AloneFit.of(fit, **_fit(fit)) for name, fit in run.alone.items()}
     return parts.IdentificationDocument.of(
         card=run.card,
@@ -234,9 +216,7 @@ def results(
         mle=parts.FitPart.of(run.mle, **_fit(run.mle), covariance=run.mle.corrected, alone=alone),
         consistency=parts.ConsistencyPart.of(run.consistency) if run.consistency else UNSET,
         frequency=frequency_part(run.frequency) if run.frequency else UNSET,
-        posterior=parts.IdentifiedPosterior(noise=run.noise.value, **posterior_parts(run.posteriors))
-        if run.posteriors
-        else UNSET,
+        posterior=_sampled(parts.IdentifiedPosterior, run.posteriors, noise=run.noise.value),
         next_flight=next_flight_part(run.next_flight) if run.next_flight else UNSET,
         stall=run.stall.numbers() if run.stall else UNSET,
         gpr=processes_part(run.gp) if run.gp else UNSET,
@@ -269,21 +249,18 @@ def _estimates(fit: MleResult | FrequencyFit, apart: Mapping[str, float] | None 
 
 
 def frequency_part(fit: FrequencyFit) -> parts.FrequencyPart:
-    """A fit in a band."""
     return parts.FrequencyPart.of(fit, parameters=_estimates(fit, fit.apart))
 
 
-def inseparable_parts(found: Sequence[Inseparable]) -> list[parts.InseparablePart]:
-    """Sets of parameters that the record cannot separate."""
-    return [parts.InseparablePart(dict(zip(one.names, one.wider, strict=True))) for one in found]
+def inseparable_parts(sets: Sequence[Inseparable]) -> list[parts.InseparablePart]:
+    return [parts.InseparablePart(dict(zip(part.names, part.wider, strict=True))) for part in sets]
 
 
-def posterior_parts(posteriors: Mapping[str, Posterior]) -> dict[str, Any]:
-    """Marginals by sampler and parameter, and under `status` whether each sampler's draws may be used."""
-    status = {
-        key: parts.SamplerPart.of((p.noise, p.status.name.lower(), p.status.value)) for key, p in posteriors.items()
-    }
-    return {key: posterior.marginals for key, posterior in posteriors.items()} | {"status": status}
+def _sampled(kind: Any, posteriors: Mapping[str, Posterior], **more: Any) -> Any:
+    """Marginals by sampler and parameter, and whether each sampler's draws may be used; absent without posteriors."""
+    status = {key: (p.noise, p.status.name.lower(), p.status.value) for key, p in posteriors.items()}
+    marginals = {key: p.marginals for key, p in posteriors.items()}
+    return kind.of(**more | marginals, status=status) if posteriors else UNSET
 
 
 def next_flight_part(found: NextFlight) -> parts.NextFlightPart:
@@ -322,23 +299,11 @@ def processes_part(report: GPReport) -> parts.ProcessesPart:
 
 
 def write_identification(run: Identification, out: Path) -> None:
-    """Its tables."""
     write_csv(parameter_table(run), out / "parameters.csv")
     if run.next_flight is not None:
         write_csv(next_flight_table(run), out / "next_flight.csv")
     if run.gp is not None:
         write_csv(validation_table(run), out / "validation.csv")
-
-
-def remove_older(run: Identification, out: Path, *, page: bool, figures: bool) -> None:
-    """Take away what an earlier run has left in the folder and this one, now complete, has no successor for."""
-    older = {f"posterior_{key}.nc" for key in ("emcee", "nuts", "white") if key not in run.posteriors}
-    older |= {"gpr.nc", "validation.csv"} if run.gp is None else set()
-    older |= {"next_flight.csv", "next_flight.nc"} if run.next_flight is None else set()
-    older |= set() if page else {"report.html"}
-    older |= set() if figures else {f"figures/{stem}.png" for stem in FIGURES}
-    for name in older:
-        (out / name).unlink(missing_ok=True)
 
 
 def save_gp(report: GPReport, path: Path) -> None:
@@ -387,11 +352,15 @@ class Flight:
 
 def fly_results(
     found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]
-) -> documents.TrajectoriesDocument:
-    """trajectories.json: plain numbers and text, SI and radians."""
+) -> parts.TrajectoriesDocument:
     flown, fit = found.flown, found.flown.fit
     setting, beliefs = flown.setting, flown.departure_sd
-    return documents.TrajectoriesDocument.of(
+    of = "process noise" if found.motion and found.motion.filtered else "output error"
+    modes = [
+        parts.ModePart.of(mode, eigenvalue=(mode.eigenvalue.real, mode.eigenvalue.imag), **mode.quantities)
+        for mode in (found.motion.modes if found.motion else ())
+    ]
+    return parts.TrajectoriesDocument.of(
         flown,
         card=card,
         records=record_parts(records, card),
@@ -407,16 +376,12 @@ def fly_results(
         covariance=fit.corrected,
         inseparable=inseparable_parts(fit.inseparable),
         disagreement=found.apart,
-        process_noise=UNSET if found.process_noise is None else found.process_noise,
-        posterior=documents.FlownPosterior.of(**dict.fromkeys(SAMPLERS, UNSET) | posterior_parts(found.posteriors))
-        if found.posteriors
-        else UNSET,
+        process_noise=found.process_noise or UNSET,
+        posterior=_sampled(parts.FlownPosterior, found.posteriors, **dict.fromkeys(SAMPLERS, UNSET)),
         frequency=[frequency_part(fit) for fit in flown.frequency] or UNSET,
-        motion=UNSET if found.motion is None else motion_part(found.motion),
+        motion=parts.MotionPart.of(found.motion, modes=modes, estimates=of) if found.motion else UNSET,
         initial_states={
-            manoeuvre: {
-                n: documents.InitialState(*x, flown.units.get(n, "1"), beliefs.get(n)) for n, x in states.items()
-            }
+            manoeuvre: {n: parts.InitialState(*x, flown.units.get(n, "1"), beliefs.get(n)) for n, x in states.items()}
             for manoeuvre, states in flown.initial.items()
         },
         residual_sd=dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),
@@ -425,15 +390,6 @@ def fly_results(
         **picked(found, "health", "notes", "failures"),
         provenance=source,
     )
-
-
-def motion_part(found: Motion) -> documents.MotionPart:
-    """Modes of motion, SI and radians."""
-    modes = [
-        documents.ModePart.of(mode, eigenvalue=(mode.eigenvalue.real, mode.eigenvalue.imag), **mode.quantities)
-        for mode in found.modes
-    ]
-    return documents.MotionPart.of(found, estimates="process noise" if found.filtered else "output error", modes=modes)
 
 
 # --- histories.nc: the time histories behind the numbers of a run, to be laid over those of another tool. SI, radians.
@@ -446,52 +402,44 @@ Histories = Mapping[str, xr.Dataset]
 
 
 def diagnosed(view: View) -> Histories:
-    """Coefficients as the card reconstructs them, by the card's model and by the extended one, and both models' X.
-
-    By a model is what was measured less what the model leaves: errors of sensors that it knows are in it.
-    """
+    """Coefficients as the card reconstructs them, and by both models: measured less what the model leaves, so that
+    errors of sensors that it knows are in it; and both models' X."""
     models = {"card": view.card, "extended": view.extended}
     columns = {}
     for c, name in enumerate(view.coefficients):
-        columns[f"{name}_measured"] = view.measured[:, c]
-        columns |= {f"{name}_{key}": view.measured[:, c] - m.residual[:, c] for key, m in models.items()}
-    columns |= {f"X_{key}": m.signals["X"] for key, m in models.items() if "X" in m.signals}
+        columns[f"{name}_measured"] = view.measured[:, c], "1"
+        columns |= {f"{name}_{key}": (view.measured[:, c] - m.residual[:, c], "1") for key, m in models.items()}
+    columns |= {f"X_{key}": (m.signals["X"], "1") for key, m in models.items() if "X" in m.signals}
     time = view.diagnosis.aerodynamics.state.responses.flights.time
     return {"coefficients": _group(columns, view.names, view.manoeuvre, time)}
 
 
 def identified(run: Identification) -> Histories:
     """Coefficients as measured and by the maximum-likelihood fit to all manoeuvres."""
-    o, fitted = run.observations, run.fitted
-    measured, columns = np.asarray(o.measured), {}
-    for c, name in enumerate(o.coefficients):
-        columns |= {f"{name}_measured": measured[:, c], f"{name}_fitted": fitted[:, c]}
+    o, both = run.observations, {"measured": np.asarray(run.observations.measured), "fitted": run.fitted}
+    columns = {f"{n}_{key}": (x[:, c], "1") for c, n in enumerate(o.coefficients) for key, x in both.items()}
     return {"coefficients": _group(columns, o.names, o.manoeuvre, o.time)}
 
 
-def flights(paths: Iterable[FlightPath], units: Mapping[str, str] | None = None) -> Histories:
-    """Outputs as measured and by each model: groups trajectories_fitted and trajectories_hold_out, by the paths' split.
-
-    `units` of outputs (SI), for channels that the program does not know by name.
-    """
+def flights(paths: Iterable[SimulatedManoeuvre], units: Mapping[str, str] | None = None) -> Histories:
+    """Outputs as measured and by each model, a group for each split of the paths; `units` of outputs (SI) for channels
+    that the program does not know by name."""
     known = units or {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
-    splits: dict[str, dict[str, list[FlightPath]]] = {}
+    splits: dict[str, dict[str, dict[str, SimulatedManoeuvre]]] = {}
     for path in paths:
-        splits.setdefault(path.split, {}).setdefault(path.manoeuvre, []).append(path)
+        splits.setdefault(path.split, {}).setdefault(path.manoeuvre, {})[path.model] = path
     found = {}
     for split, named in splits.items():
-        firsts = [own[0] for own in named.values()]
-        columns: dict[str, np.ndarray] = {}
-        unit: dict[str, str] = {}
-        for output in firsts[0].measured:
-            columns[column(output, "measured")] = np.concatenate([p.measured[output] for p in firsts])
-            for number, model in enumerate(p.model for p in next(iter(named.values()))):
-                simulated = [own[number].simulated[output] for own in named.values()]
-                columns[column(output, model)] = np.concatenate(simulated)
-            unit |= dict.fromkeys(list(columns)[len(unit) :], known[output])
+        firsts = [next(iter(models.values())) for models in named.values()]
+        columns: dict[str, tuple[np.ndarray, str]] = {}
+        for n in firsts[0].measured:
+            columns[column(n, "measured")] = np.concatenate([p.measured[n] for p in firsts]), known[n]
+            for model in next(iter(named.values())):
+                simulated = [models[model].simulated[n] for models in named.values()]
+                columns[column(n, model)] = np.concatenate(simulated), known[n]
         manoeuvre = np.repeat(np.arange(len(firsts)), [len(p.time) for p in firsts])
         time = np.concatenate([p.time for p in firsts])
-        found[f"trajectories_{split}"] = _group(columns, tuple(named), manoeuvre, time, unit)
+        found[f"trajectories_{split}"] = _group(columns, tuple(named), manoeuvre, time)
     return found
 
 
@@ -501,27 +449,16 @@ def column(output: str, kind: str) -> str:
 
 
 def _group(
-    columns: Mapping[str, Float[np.ndarray, " n"]],
-    names: Sequence[str],
-    manoeuvre: Int[np.ndarray, " n"],
-    time: Float[np.ndarray, " n"],
-    units: Mapping[str, str] | None = None,
+    columns: Mapping[str, tuple[np.ndarray, str]], names: Sequence[str], manoeuvre: Any, time: Any
 ) -> xr.Dataset:
-    unit = units or dict.fromkeys(columns, "1")
     about = {"long_name": "time as recorded, s"}  # xarray would make durations of what has the unit s
-    data = {
-        "time": ("sample", time, about),
-        "manoeuvre": ("sample", manoeuvre + 1),
-        **{key: ("sample", x, {"units": unit[key]}) for key, x in columns.items()},
-    }
+    data = {"time": ("sample", time, about), "manoeuvre": ("sample", manoeuvre + 1)}
+    data |= {key: ("sample", x, {"units": unit}) for key, (x, unit) in columns.items()}
     return xr.Dataset(data, attrs={"names": [plain_line(name) for name in names]})
 
 
 def put_histories(make: Callable[[], Histories], folder: Path) -> tuple[str, ...]:
-    """Write `histories.nc` into `folder`, whole or not at all.
-
-    Histories that cannot be written cost nothing else: an older file goes, and a sentence on it is returned.
-    """
+    """Write `histories.nc`; if that fails an older file goes, and a sentence on it is returned."""
     path = folder / HISTORIES
     try:
         groups = make()

@@ -1,1 +1,0 @@
-"""Results on disk: JSON, time histories, folders that appear whole."""
