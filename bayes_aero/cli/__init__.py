@@ -12,7 +12,7 @@ from bayes_aero import __version__
 from bayes_aero.cli.fits import diagnose, export, fly, identify, path, qualify, run
 from bayes_aero.cli.fits import open as open_page
 from bayes_aero.cli.preparing import card, check, effects, simulate
-from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError
+from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError, refuse_gone
 from bayes_aero.errors import DefectError, InputError, plain_line
 from bayes_aero.processes import enable_cache
 
@@ -68,6 +68,7 @@ def main() -> None:
 
     enable_cache()
     try:
+        refuse_gone(sys.argv[1:])
         app(prog_name=app.info.name)
     except InputError as error:
         stop(f"error: {error}", BAD_INPUT)

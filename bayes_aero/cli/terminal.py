@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
+from bayes_aero.errors import InputError
 from bayes_aero.jobs.options import MAX_SEED, Options, ReadingOptions
 from bayes_aero.progress import Progress
 
@@ -226,3 +227,35 @@ def working(out: Path, first: str = "reading") -> Iterator[Progress]:
 
     with interruptible(resume), bar(first) as tell:
         yield tell
+
+
+# --- Options of the command line that are gone: one row each, told before the command line is parsed.
+
+GONE: tuple[tuple[str, str, str], ...] = (
+    (
+        "diagnose",
+        "--predictors/--no-predictors",
+        "predictors are no longer compared; use --no-test-points to leave out the manoeuvres that decide what is open",
+    ),
+    ("fly", "--drift", "run diagnose, which says whether a parameter changed, when and by how much"),
+    (
+        "identify",
+        "--approximate-gp",
+        "Gaussian processes are exact; give shorter parts of the records (FILE@FROM:TO) or a longer --resample",
+    ),
+    ("run", "--verify", "run the study again with another --out and compare the two summary.csv"),
+    ("simulate", "--page/--no-page", "run check on the record with --out for a page of it"),
+    ("effects", "--out", "use --json > effects.json"),
+)
+"""Command, option (every spelling, "--one/--no-one"), and the rest of the sentence: what to use instead."""
+
+
+def refuse_gone(arguments: Sequence[str]) -> None:
+    """Raise `InputError` for an option that is gone, with what to use instead; `arguments`: the command first."""
+    command, *rest = arguments or ("",)
+    options = rest[: rest.index("--")] if "--" in rest else rest  # behind it are names of files
+    spelled = [argument.partition("=")[0] for argument in options]
+    for of, option, instead in GONE:
+        for given in option.split("/"):
+            if of == command and given in spelled:
+                raise InputError(f"{given} of {command} is gone: {instead}")

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain, count
 from pathlib import Path
+from time import time
 from typing import Any
 
 import jax.numpy as jnp
@@ -43,7 +44,7 @@ from bayes_aero.inference.results import MleResult, Posterior
 from bayes_aero.jobs.check import record_checks, repaired, spike_notes, usable_for
 from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
 from bayes_aero.jobs.results import RESULTS, Flight, flights, fly_results, put_histories
-from bayes_aero.jobs.store import Growing, provenance, safe_name, sha256_of, writable, write_json
+from bayes_aero.jobs.store import Growing, provenance, remove_older, safe_name, sha256_of, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Flights, on_recorded_axes
@@ -108,7 +109,7 @@ def fitted(
     records: Sequence[FlightRecord], card: Card, options: FlyOptions, out: Path | None, progress: Progress | None
 ) -> FlightStore:
     """The fits and what is said of them, with posteriors; all numbers are written."""
-    setting = setting_of(options, card)
+    setting, began = setting_of(options, card), time()
     if options.frequency is not None:
         if card.linear is None:
             raise InputError(
@@ -120,7 +121,7 @@ def fitted(
     card, left_out = on_recorded_axes(card, records, OF_AXIS, DERIVED)
     flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
     if out is not None:
-        writable(out, "posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv")
+        writable(out)
     checks = record_checks(records, card, options.seed, out, progress=progress)
     undecided = options.process_noise is None
     met = in_gusts(records, card, options.seed) if undecided and checks.consistency.recorded else {}
@@ -163,6 +164,8 @@ def fitted(
     kept.keep()
     if sample is not None and beside is not None and options.posterior and beside.converged:
         kept.sample(partial(sample, options.seed, progress))
+    if out is not None:
+        remove_older(out, ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"), began)
     return kept
 
 

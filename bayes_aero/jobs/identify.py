@@ -31,7 +31,7 @@ from bayes_aero.inference.validation import (
 from bayes_aero.jobs.check import record_checks, repaired
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.results import identified, put_histories, results, save_gp, write_identification
-from bayes_aero.jobs.store import Growing, provenance, writable, write_json
+from bayes_aero.jobs.store import Growing, provenance, remove_older, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import despiked, join, observe
@@ -78,6 +78,7 @@ def identify(
     job.keep(stall=job.stage("stall", "Stall left out", lambda: stall_of_run(job.result)))
     if out is not None:
         job.show(out)
+        remove_older(out, OLDER, job.began)
     return job.result
 
 
@@ -108,7 +109,7 @@ class IdentificationJob(Growing[Identification]):
         self.flown: tuple[SimulatedManoeuvre, ...] = ()
         super().__init__(card, records, out, provenance(card, records, options.seed, options.settings, options))
         if out is not None:
-            writable(out, *OLDER)
+            writable(out)
 
     def write(self, out: Path) -> None:
         write_identification(self.result, out)

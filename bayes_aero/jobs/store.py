@@ -16,6 +16,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 from threading import RLock
+from time import time
 from typing import Any, Generic, TypeVar
 
 import msgspec
@@ -106,6 +107,7 @@ class Growing(Generic[Result]):
 
     def __init__(self, card: Card, records: Sequence[FlightRecord], out: Path | None, source: dict[str, Any]) -> None:
         self.card, self.records, self.out, self.source, self.lock = card, records, out, source, RLock()
+        self.began = time()
 
     def write(self, out: Path) -> None:
         raise NotImplementedError
@@ -187,22 +189,29 @@ RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", 
 """Names that Windows keeps for devices, whatever follows their first full stop."""
 
 
-def writable(folder: Path, *older: str) -> None:
-    """Make the folder for results, without the files `older` of an earlier run, or say why it cannot be. The folder may
-    be a link itself, for the user has named it; a link in it that leads out of it is refused."""
+def writable(folder: Path) -> None:
+    """Make the folder for results, or say why it cannot be. The folder may be a link itself, for the user has named it;
+    a link in it that leads out of it is refused."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         root, leads_out = folder.resolve(), None
         for path in sorted(folder.iterdir()):
             if path.is_symlink() and not path.resolve().is_relative_to(root):
                 leads_out = path
-        for name in (ERROR, *older) if leads_out is None else ():
-            (folder / name).unlink(missing_ok=True)
+        if leads_out is None:
+            (folder / ERROR).unlink(missing_ok=True)  # of an earlier run
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot write to {folder} ({reason}); give another folder with --out") from None
     if leads_out is not None:
         raise InputError(f"{leads_out} is a link that leads out of {folder}; remove it, or give another --out")
+
+
+def remove_older(folder: Path, names: Sequence[str], began: float) -> None:
+    """Take away what an earlier run than that of `began` (time in s) left under these names."""
+    for path in (folder / name for name in names):
+        if path.is_file() and path.stat().st_mtime < began - 1.0:  # file systems round times
+            path.unlink()
 
 
 def safe_name(words: str) -> str:

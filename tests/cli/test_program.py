@@ -16,7 +16,7 @@ import stranger_six
 from calling import answer, called, holds, page_of, recorded, succeeded, validated
 from markupsafe import escape
 
-from bayes_aero.cli import app, main
+from bayes_aero.cli import app, main, terminal
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
 from bayes_aero.diagnosis.result import WINDOW
 from bayes_aero.effects import CATALOGUE
@@ -161,6 +161,25 @@ def test_nothing_heavy_is_loaded(files, code, arguments):
     found, loaded = json.loads(done.stderr.splitlines()[-1])
     assert found == code
     assert set(loaded).isdisjoint(ANY if arguments == "--help" else HEAVY), done.stderr
+
+
+SPELLED = [(command, given, instead) for command, option, instead in terminal.GONE for given in option.split("/")]
+
+
+@pytest.mark.parametrize(("command", "option", "instead"), SPELLED)
+@pytest.mark.parametrize("value", ["", "=x"])
+def test_an_option_that_is_gone_says_what_to_use(program, command, option, instead, value):
+    done = program(command, "no_such_file", option + value)
+    assert (done.code, done.out) == (2, "")
+    assert done.err == f"error: {option} of {command} is gone: {instead}\n"
+    assert option not in program(command, "--help").out.split()
+
+
+def test_other_commands_and_names_of_files_are_left_alone(program, monkeypatch):
+    monkeypatch.setattr(terminal, "GONE", (("check", "--old/--no-old", "leave it out"),))
+    assert "--no-old of check is gone: leave it out" in program("check", "a.csv", "--no-old").err
+    assert "gone" not in program("path", "a.csv", "--no-old").err
+    assert "gone" not in program("check", "--", "--no-old").err
 
 
 SETTINGS = ("--noise", "white", "--no-gp", "--no-figures", "--next-flight")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,13 +11,11 @@ import numpy as np
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import Agreement
-from bayes_aero.report.page import Facts, HtmlTable, Picture, Plot, Report, Section, fold, page_table, section
+from bayes_aero.report.page import HtmlTable, Plot, Report, fold, page_table, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.phrases import (
-    bracket,
     for_people,
     not_testable_sentences,
-    plain_unit,
     sentence,
     several,
     symbol,
@@ -30,10 +27,8 @@ from bayes_aero.units import number
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import CheckReport
-    from bayes_aero.flight.card import Card
     from bayes_aero.flight.reading import RecordReport
     from bayes_aero.flight.record import FlightRecord
-    from bayes_aero.parameter import Parameter
 
 MAX_PARTS = 12  # of a file in a sentence; the JSON has all
 CHANNELS = (
@@ -294,51 +289,7 @@ def _unknown(view: StarterView) -> tuple[Any, ...]:
     return (said, places, _drawn(view, "time-rest", "Columns without a name", as_is, panels)) if places else ()
 
 
-# --- The page of a simulated record: channels, true parameters, hidden effects.
-
-
-def simulated_page(
-    record: FlightRecord, card: Card, truth: Mapping[str, Any], parameters: Sequence[Parameter]
-) -> Report:
-    """The page; `truth` is what stands in the file beside the record, `parameters` are those that were flown."""
-    units = {p.name: plain_unit(p.unit) for p in parameters}
-    behind = {name: "" if unit == "-" else f" {unit}" for name, unit in units.items()}
-    hidden = []
-    for effect, values in truth["effects"].items():
-        sizes = (f"{name} = {number(x)}{behind.get(name, ' in SI')}" for name, x in values.items())
-        hidden.append(f"{effect} ({', '.join(sizes)})")
-    said = f"hidden effect: {several(hidden)}." if hidden else "no effect is hidden in it."
-
-    def true() -> tuple[Any, ...]:
-        asked = {name for values in truth["effects"].values() for name in values}
-        rows = tuple(
-            (f"{name} {bracket(units.get(name, '-'))}", number(x, 6), "hidden" if name in asked else "")
-            for name, x in truth["parameters"].items()
-        )
-        sensors = {name: plain_unit(channel.unit) for name, channel in STANDARD_CHANNELS.items()}
-        noise = [(name, number(x)) for name, x in truth["disturbance"].items()]
-        noise += [(f"{name} {bracket(sensors.get(name, '-'))}", number(x)) for name, x in truth["sensor_noise"].items()]
-        title = "Noise: disturbances of the coefficients, and standard deviations of the sensors in SI"
-        return (
-            HtmlTable("True parameters, SI and radians", ("parameter", "value", "remark"), rows, words=(2,)).lean(),
-            HtmlTable(title, ("", "value"), tuple(noise)),
-            parts.symbols(card, parameters, [p.name for p in parameters]),
-        )
-
-    return Report(
-        title=f"Simulated record: {record.name}",
-        subtitle="A synthetic flight record and its true parameters",
-        verdict=f"A simulated record of {record.time[-1] - record.time[0]:.0f} s; {said}",
-        lead=[parts.warnings(truth["notes"]), recorded([record])],
-        sections=[
-            section("records", "The record at a glance", lambda: parts.at_a_glance([record], card)),
-            section("truth", "True parameters", true),
-            parts.provenance_section(truth["provenance"]),
-        ],
-    )
-
-
-# --- The catalogue of effects: all of them in a table, then each with its formula, priors and source.
+# --- An effect of the catalogue on a terminal.
 
 Described = Mapping[str, Any]
 """An effect as the catalogue describes it."""
@@ -393,69 +344,3 @@ def shown(value: Any) -> str:
     if math.isinf(value):
         return "-infinity" if value < 0.0 else "infinity"
     return f"{value:g}"
-
-
-def effects_page(
-    found: Sequence[Described], source: Mapping[str, Any], aircraft: str | None = None, pictures: Sequence[Picture] = ()
-) -> Report:
-    """The page; `aircraft` is the title of the card, if any."""
-    if len(found) == 1:
-        title, verdict = f"Effect: {found[0]['name']}", found[0]["claim"]
-        sections = [section("effect", "Description", lambda: _explained(found[0]))]
-    else:
-        kinds = Counter(effect["kind"] for effect in found)
-        title = "Catalogue of effects"
-        verdict = f"{len(found)} effects: {several(f'{n} of {kind}' for kind, n in sorted(kinds.items()))}"
-        verdict += f"; diagnose screens {sum(effect['proposed_by_diagnose'] for effect in found)} of them"
-        if aircraft:
-            verdict += f"; {sum(bool(effect['model']) for effect in found)} are in the card's model"
-        verdict += "."
-        sections = [_kind(kind, [e for e in found if e["kind"] == kind]) for kind in sorted(kinds)]
-    return Report(
-        title=title,
-        subtitle="Effects of the aircraft, its sensors and the air for a model"
-        + (f"; card: {aircraft}" if aircraft else ""),
-        verdict=verdict,
-        lead=pictures,
-        sections=[*sections, parts.provenance_section(source)],
-    )
-
-
-def picture_words(found: Sequence[Described]) -> tuple[str, str]:
-    """Caption and alternative text of the picture of channels."""
-    from bayes_aero.report.figures.posterior import needed  # matplotlib, which a check on a terminal does not need
-
-    listed = several(f"{channel} by {kinds.total()}" for channel, kinds in needed(found).items())
-    return (
-        "Effects that need each recorded channel. All need time and the channels that form CL, CD and Cm.",
-        f"Bars: effects that need each channel, by kind of effect. Needed are {listed}.",
-    )
-
-
-def _kind(kind: str, found: Sequence[Described]) -> Section:
-    rows = []
-    for e in found:
-        parameters = ", ".join(f"{p['name']} {bracket(plain_unit(p['unit']))}" for p in e["parameters"])
-        remarks = ["in the card's model"] if e["model"] else []
-        remarks += [] if e["proposed_by_diagnose"] else ["never proposed by diagnose"]
-        rows.append((e["name"], e["claim"], parameters, ", ".join(e["needs"]), ", ".join(remarks)))
-    head = ("effect", "claim", "parameters", "channels", "remark")
-    table = HtmlTable(f"Effects of {kind}", head, tuple(rows), words=(1, 2, 3, 4)).lean()
-    return section(kind, kind.capitalize(), lambda: [table, *(fold(e["name"], _explained(e)) for e in found)])
-
-
-def _explained(effect: Described) -> tuple[Any, ...]:
-    about = (("claim", effect["claim"]), *facts(effect), ("example", worked(effect)), ("source", effect["source"]))
-    head = ("parameter", "what it is", "absent at", "bounds", "prior", "least worth\nmodelling", "largest\nplausible")
-    rows = tuple(
-        (
-            f"{p['name']} {bracket(plain_unit(p['unit']))}",
-            p["description"],
-            shown(p["neutral"]),
-            f"{shown(p['bounds'][0])} to {shown(p['bounds'][1])}",
-            f"{p['prior']['text']} ({p['prior']['source']})",
-            *("–" if p[size] is None else shown(p[size]) for size in ("least_worth_modelling", "largest_plausible")),
-        )
-        for p in effect["parameters"]
-    )
-    return Facts(about), HtmlTable("Parameters, SI and radians", head, rows, words=(1, 4)) if rows else None

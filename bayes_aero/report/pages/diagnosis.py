@@ -333,10 +333,9 @@ def causes_table(d: Diagnosis) -> Table:
         return BeforeAfter(*(getattr(of[name], kind) for of in both)) if name in c.gain.before else None
 
     names = dict.fromkeys(name for c in d.causes for name in c.gain.before)
-    pairs = {n: [x for c in d.causes if (x := change(c, n, "r2")) and None not in x] for n in names}
-    largest = {
-        n: max((abs(np.nan_to_num(np.subtract(b, a))) for a, b in found), default=0.0) for n, found in pairs.items()
-    }
+    changes = {n: [x for c in d.causes if (x := change(c, n, "r2"))] for n in names}
+    pairs = {n: [(a, b) for a, b in x if a is not None and b is not None] for n, x in changes.items()}
+    largest = {n: max((abs(float(np.nan_to_num(b - a))) for a, b in x), default=0.0) for n, x in pairs.items()}
     shown = sorted(names, key=lambda n: -largest[n])[:ON_A_TERMINAL] if d.by_coefficients else []
     scores = []
     for n, kind in ((n, kind) for n in names for kind in ("r2", "rmse")):

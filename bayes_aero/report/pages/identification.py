@@ -94,8 +94,8 @@ def _alone_columns(run: Identification, names: Sequence[str]) -> list[Column]:
 
 def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
     """Scores of GPR and maximum likelihood on the same test points by split, fold (and all folds) and coefficient."""
-    rows, gp = [], run.gp
-    for split, folds in () if gp is None else gp.splits.items():
+    rows: list[tuple[str, str, str, Any]] = []
+    for gp, split, folds in () if run.gp is None else [(run.gp, *item) for item in run.gp.splits.items()]:
         for name in run.observations.coefficients:
             if each_fold and len(folds) > 1:
                 rows += [(split, str(k), name, fold[name]) for k, fold in enumerate(folds, start=1)]
