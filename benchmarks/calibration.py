@@ -28,8 +28,8 @@ from jaxtyping import Float, Int
 from studies import parser_of, rows_of, run_seeds
 
 from bayes_aero.flight.card import read_card
-from bayes_aero.inference.gp.kernel import Priors, ReducedData, find_map, hyper_names
-from bayes_aero.inference.gp.posterior import Budget, SampleStatus, Settings, sample_posterior, systematic_resample
+from bayes_aero.inference.gp import Budget, SampleStatus, Settings, hyper_names, sample_posterior, systematic_resample
+from bayes_aero.inference.gp_kernel import Priors, ReducedData, find_map
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import Posterior
 from bayes_aero.inference.sampling import density_start, sample_ensemble, sample_nuts, search_modes

@@ -16,7 +16,7 @@ import numpy as np
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.gp import gaussian_parts
-from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling, curvature, find_map, maximise
+from bayes_aero.inference.gp_kernel import Priors, ReducedData, Scaling, curvature, find_map, maximise
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import score
 from bayes_aero.inference.validation import gp_inputs, make_splits

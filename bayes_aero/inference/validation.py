@@ -31,9 +31,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import standard_error_of_sum
-from bayes_aero.inference.gp import MAX_SAMPLES, GPFit, fit_gp, too_many
-from bayes_aero.inference.gp.kernel import Priors
-from bayes_aero.inference.gp.posterior import Budget
+from bayes_aero.inference.gp import MAX_SAMPLES, Budget, GPFit, fit_gp, too_many
+from bayes_aero.inference.gp_kernel import Priors
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import (
     COLOURED_INNOVATIONS,
@@ -162,7 +161,6 @@ class _Work(NamedTuple):
             priors=Priors.quasi_steady(),
             sample=self.sampled,
             budget=Budget(seed=self.seed),
-            progress=lambda _: None,
         )
         if self.tidy:
             give_back_memory()

@@ -138,7 +138,7 @@ def lay_down(model: Model, observations: Observations, folder: Path, asked: dict
 
 def lift_samples(observations: Observations, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Scaled inputs (n, 4) and CL (n,) of `n` samples chosen at random, the same ones in every run."""
-    from bayes_aero.inference.gp.kernel import Scaling
+    from bayes_aero.inference.gp_kernel import Scaling
 
     if n > observations.n:
         raise SystemExit(f"The records have {observations.n} samples, fewer than the {n} of --sizes.")
@@ -321,7 +321,7 @@ TOLERANCE = {"ftol": 1e-9, "gtol": 1e-4}  # relative change and gradient at whic
 
 def our_process(problem: Problem, size: int, _: argparse.Namespace) -> Fitting:
     """`maximise`, which searches five directions and finds the other six in closed reach."""
-    from bayes_aero.inference.gp.kernel import Priors, ReducedData, maximise, noise_to_signal
+    from bayes_aero.inference.gp_kernel import Priors, ReducedData, maximise, noise_to_signal
 
     data, flat = ReducedData.of(*problem.processes[size]), Priors.flat()
     return lambda _: maximise(noise_to_signal(START), data, flat, w=START[:6].copy(), max_iterations=200).theta

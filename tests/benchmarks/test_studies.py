@@ -33,7 +33,7 @@ from studies import resumed
 from verify import CLAIMS, LEVEL, ROUND, Claim, Run, Side, count, enter, fly, line_of
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp.kernel import Priors, ReducedData, log_posterior
+from bayes_aero.inference.gp_kernel import Priors, ReducedData, log_posterior
 from bayes_aero.simulate.demo import TRUTH
 
 

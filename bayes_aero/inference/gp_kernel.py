@@ -15,21 +15,22 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpyro.distributions as dist
 from jaxtyping import Array, Float
-from numpyro.distributions.transforms import ExpTransform
 from scipy.linalg import get_lapack_funcs
 from scipy.optimize import minimize
 
+from bayes_aero.arrays import AnyArray, namespace, xp
 from bayes_aero.errors import InputError
 from bayes_aero.processes import blas_threads
+
+Theta = Float[np.ndarray, " p"]
+LengthsAndNoise = Float[np.ndarray, " u"]
 
 
 def length_slice(d: int) -> slice:
@@ -37,14 +38,7 @@ def length_slice(d: int) -> slice:
     return slice(d + 2, 2 * d + 2)
 
 
-def hyper_names(input_names: tuple[str, ...]) -> list[str]:
-    """Flat names in the order of theta, for labels and messages."""
-    linear = [f"linear[{name}]" for name in input_names]
-    length = [f"length_scale[{name}]" for name in input_names]
-    return ["constant", *linear, "signal", *length, "noise"]
-
-
-def noise_to_signal(theta: Float[np.ndarray, " p"]) -> Float[np.ndarray, " u"]:
+def noise_to_signal(theta: Theta) -> LengthsAndNoise:
     """u = (log l_1..d, log g), g = sn^2/sf^2: the only directions in which an n x n factorisation is needed."""
     d = (theta.size - 3) // 2
     return np.append(theta[length_slice(d)], 2 * (theta[-1] - theta[d + 1]))
@@ -71,7 +65,7 @@ class Scaling:
     rms: float
 
     @classmethod
-    def of(cls, X: np.ndarray, y: np.ndarray, names: tuple[str, ...]) -> "Scaling":
+    def of(cls, X: np.ndarray, y: np.ndarray, names: tuple[str, ...]) -> Scaling:
         """Scaling of training inputs (n, d) and output (n,); data that cannot be fitted are refused."""
         if X.ndim != 2 or y.shape != X.shape[:1] or len(names) != X.shape[1]:
             raise InputError(f"Inputs {X.shape}, output {y.shape} and {len(names)} input names do not go together.")
@@ -118,146 +112,102 @@ class Scaling:
 class HyperPrior:
     """Prior of one positive hyperparameter.
 
-    half-normal: `a` is the scale. log-normal: `a` is the median, `b` the sd of the logarithm.
-    inverse-gamma: `a` is the concentration, `b` the scale. frechet: `a` is the scale, `b` the shape, P(x < a/c) =
-    exp(-c^b): a steep lower end, a power law above. flat: constant in log x, improper, for benchmarks.
+    half-normal: `a` is the scale. log-normal: `a` is the median, `b` the sd of the logarithm. frechet: `a` is the
+    scale, `b` the shape, P(x < a/c) = exp(-c^b): a steep lower end, a power law above. flat: constant in log x,
+    improper, for benchmarks.
     """
 
-    family: Literal["half-normal", "log-normal", "inverse-gamma", "frechet", "flat"]
+    family: Literal["half-normal", "log-normal", "frechet", "flat"]
     a: float = 1.0
     b: float = 1.0
-    source: str = "our choice"
 
     def __post_init__(self):
         if not (self.a > 0 and self.b > 0):
             raise InputError(f"The {self.family} prior needs positive parameters, got a = {self.a}, b = {self.b}.")
 
-    def distribution(self) -> dist.Distribution:
-        """The density of x; a flat prior has none."""
+    def slopes(self, t: Float[AnyArray, "*s"]) -> tuple[Any, Any, Any]:
+        """Log density of each t = log x, and its first and second derivatives."""
+        z = self.b * (t - math.log(self.a))
         if self.family == "half-normal":
-            return dist.HalfNormal(self.a)
-        if self.family == "log-normal":
-            return dist.LogNormal(jnp.log(self.a), self.b)
-        if self.family == "inverse-gamma":
-            return dist.InverseGamma(self.a, self.b)
-        if self.family == "frechet":  # the logarithm of a Frechet variable is a Gumbel one
-            return dist.TransformedDistribution(dist.Gumbel(jnp.log(self.a), 1.0 / self.b), ExpTransform())
-        raise InputError("A flat hyperparameter prior is improper and cannot be drawn from; give a proper one.")
-
-    def log_density(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Log density of t = log x."""
-        if self.family == "flat":
-            return jnp.zeros_like(t)
-        return jnp.asarray(self.distribution().log_prob(jnp.exp(t))) + t
-
-    def slopes(self, t: Float[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`log_density` at each t, and its first and second derivatives."""
-        one = np.ones_like(t)
-        if self.family == "half-normal":
-            x2 = np.exp(2.0 * t) / self.a**2
+            x2 = xp.exp(2.0 * t) / self.a**2
             return 0.5 * math.log(2.0 / math.pi) - math.log(self.a) - 0.5 * x2 + t, 1.0 - x2, -2.0 * x2
         if self.family == "log-normal":
-            z = (t - math.log(self.a)) / self.b
-            return -0.5 * z**2 - math.log(self.b * math.sqrt(2.0 * math.pi)), -z / self.b, -one / self.b**2
-        if self.family == "inverse-gamma":
-            y = self.b * np.exp(-t)
-            return self.a * (math.log(self.b) - t) - y - math.lgamma(self.a), y - self.a, -y
+            z = z / self.b**2
+            return -0.5 * z**2 - math.log(self.b * math.sqrt(2.0 * math.pi)), -z / self.b, 0.0 * t - self.b**-2.0
         if self.family == "frechet":
-            z = self.b * (t - math.log(self.a))
-            y = np.exp(-z)
+            y = xp.exp(-z)
             return math.log(self.b) - z - y, self.b * (y - 1.0), -(self.b**2) * y
         return 0.0 * t, 0.0 * t, 0.0 * t
 
+    def log_density(self, t: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s"]:
+        """Log density of t = log x."""
+        return self.slopes(t)[0]
+
     def sample(self, key: Array, shape: tuple[int, ...]) -> Float[Array, "..."]:
         """Draws of t = log x."""
-        return jnp.log(self.distribution().sample(key, shape))  # pyright: ignore[reportArgumentType]
+        if self.family == "flat":
+            raise InputError("A flat hyperparameter prior is improper and cannot be drawn from; give a proper one.")
+        if self.family == "frechet":  # the logarithm of a Frechet variable is a Gumbel one
+            return math.log(self.a) + jax.random.gumbel(key, shape) / self.b
+        normal = jax.random.normal(key, shape)
+        return jnp.log(self.a * jnp.abs(normal)) if self.family == "half-normal" else math.log(self.a) + self.b * normal
 
 
-FLAT = HyperPrior("flat", source="constant in the logarithm: the paper's and scikit-learn's silent choice")
+FLAT = HyperPrior("flat")  # constant in the logarithm: the paper's and scikit-learn's silent choice
 
 
 @dataclass(frozen=True)
 class Priors:
     """q(theta): constant s0, linear s_i, signal sf, length scales l_i, noise sn (linear and length per input)."""
 
-    constant: HyperPrior = HyperPrior(
-        "half-normal", 1.0, source="our choice: the output has rms 1, its offset is not likely beyond 2"
-    )
-    linear: HyperPrior = HyperPrior(
-        "half-normal",
-        1.0,
-        source="our choice: one sd of an input moves the output by no more than about its own rms; "
-        "half-normal on sds after the Stan User's Guide, Gaussian processes, 'Priors for marginal sd'",
-    )
-    signal: HyperPrior = HyperPrior(
-        "half-normal", 1.0, source="our choice, as for the linear part: the non-linear part is not larger than y"
-    )
-    length: HyperPrior = HyperPrior(
-        "log-normal",
-        1.0,
-        1.0,
-        source="our choice: 95 % between 0.14 and 7 sd of the input, from finer than any buffet cycle resolves "
-        "to longer than the whole flown range, beyond which the linear part takes over",
-    )
-    noise: HyperPrior = HyperPrior(
-        "log-normal", 0.1, 1.0, source="our choice: 95 % between 1.4 % and 71 % of the output's rms"
-    )
+    # All our choice. The output has rms 1: its offset is not likely beyond 2, one sd of an input moves it by no more
+    # than about its own rms, and the non-linear part is not larger than it; half-normal on sds after the Stan User's
+    # Guide, Gaussian processes. Length scales: 95 % between 0.14 and 7 sd of the input, from finer than any buffet
+    # cycle resolves to longer than the whole flown range. Noise: 95 % between 1.4 % and 71 % of the output's rms.
+    constant: HyperPrior = HyperPrior("half-normal")
+    linear: HyperPrior = HyperPrior("half-normal")
+    signal: HyperPrior = HyperPrior("half-normal")
+    length: HyperPrior = HyperPrior("log-normal")
+    noise: HyperPrior = HyperPrior("log-normal", 0.1)
 
     @classmethod
-    def flat(cls) -> "Priors":
+    def flat(cls) -> Priors:
         """No prior at all: maximum marginal likelihood. Improper, so it can be optimised but not sampled."""
         return cls(FLAT, FLAT, FLAT, FLAT, FLAT)
 
     @classmethod
-    def quasi_steady(cls) -> "Priors":
+    def quasi_steady(cls) -> Priors:
         """For quasi-steady coefficients of a manoeuvre: no feature much finer than the flown range of an input."""
         # The likelihood takes its errors for white and everywhere alike. In flight they are neither: on the ATTAS
         # records the error of CD is 5 times larger in the stall than before it, nearly all of it buffet at 7.7 Hz,
         # which is no function of alpha, elevator, pitch rate or airspeed. With n in the thousands that likelihood
         # outbids any weak prior by hundreds of nats to explain buffet by short length scales, and the process then
         # swings between the samples of a steep passage. So the lower end has to be as steep as the data's push is: a
-        # Frechet density charges (6/l)^10 nats for a length scale of l sd.
-        length = HyperPrior(
-            "frechet",
-            6.0,
-            10.0,
-            source="our choice: 95 % between 5.3 and 8.7 sd of the input, about the flown range (4 to 10 sd on ATTAS), "
-            "over which a sample function bends about once, as a stall does",
-        )
-        return cls(length=length)
+        # Frechet density charges (6/l)^10 nats for a length scale of l sd: 95 % between 5.3 and 8.7 sd of the input,
+        # about the flown range (4 to 10 sd on ATTAS), over which a sample function bends about once, as a stall does.
+        return cls(length=HyperPrior("frechet", 6.0, 10.0))
 
     @property
-    def proper(self) -> bool:
-        parts = (self.constant, self.linear, self.signal, self.length, self.noise)
-        return all(p.family != "flat" for p in parts)
+    def each(self) -> tuple[HyperPrior, ...]:
+        """Those of the five groups of hyperparameters, in the order of theta."""
+        return self.constant, self.linear, self.signal, self.length, self.noise
 
-    def per_parameter(self, d: int) -> list[HyperPrior]:
-        return [self.constant, *[self.linear] * d, self.signal, *[self.length] * d, self.noise]
-
-    def log_density(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
-        d = (theta.shape[0] - 3) // 2
-        return (
-            self.constant.log_density(theta[0])
-            + jnp.sum(self.linear.log_density(theta[1 : d + 1]))
-            + self.signal.log_density(theta[d + 1])
-            + jnp.sum(self.length.log_density(theta[length_slice(d)]))
-            + self.noise.log_density(theta[2 * d + 2])
-        )
-
-    def slopes(self, theta: Float[np.ndarray, " p"]) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+    def slopes(self, theta: Float[AnyArray, " p"]) -> tuple[Any, Any, Any]:
         """log q(theta), its gradient, and the diagonal of its second derivatives, beside which there is nothing."""
-        d = (theta.size - 3) // 2
-        parts = (self.constant, 1), (self.linear, d), (self.signal, 1), (self.length, d), (self.noise, 1)
-        pieces = np.split(theta, np.cumsum([count for _, count in parts])[:-1])
-        values, slopes, bends = zip(
-            *(prior.slopes(piece) for (prior, _), piece in zip(parts, pieces, strict=True)), strict=True
-        )
-        return float(sum(v.sum() for v in values)), np.concatenate(slopes), np.concatenate(bends)
+        lib, d = namespace(theta), (theta.size - 3) // 2
+        pieces = lib.split(theta, [1, d + 1, d + 2, 2 * d + 2])
+        values, slopes, bends = zip(*(q.slopes(t) for q, t in zip(self.each, pieces, strict=True)), strict=True)
+        return sum(v.sum() for v in values), lib.concatenate(slopes), lib.concatenate(bends)
+
+    def log_density(self, theta: Float[AnyArray, " p"]) -> Float[AnyArray, ""]:
+        """log q(theta)."""
+        return self.slopes(theta)[0]
 
     def sample(self, key: Array, d: int, draws: int) -> Float[Array, "draws p"]:
-        keys = jax.random.split(key, 2 * d + 3)
-        parts = zip(keys, self.per_parameter(d), strict=True)
-        return jnp.stack([prior.sample(k, (draws,)) for k, prior in parts], axis=1)
+        """Draws of theta."""
+        priors = [q for q, count in zip(self.each, (1, d, 1, d, 1), strict=True) for _ in range(count)]
+        keys = jax.random.split(key, len(priors))
+        return jnp.stack([q.sample(k, (draws,)) for k, q in zip(keys, priors, strict=True)], axis=1)
 
 
 # --- The n x n part of the marginal likelihood: what is needed of (length scales, noise-to-signal), and no more.
@@ -281,7 +231,7 @@ class ReducedData(NamedTuple):
     fy: Float[np.ndarray, "n m"]
 
     @classmethod
-    def of(cls, x: Float[np.ndarray, "n d"], y: Float[np.ndarray, " n"]) -> "ReducedData":
+    def of(cls, x: Float[np.ndarray, "n d"], y: Float[np.ndarray, " n"]) -> ReducedData:
         return cls(np.ascontiguousarray(x), np.column_stack([np.ones(len(x)), x, y]))
 
     @property
@@ -295,23 +245,23 @@ class ReducedData(NamedTuple):
         return bool(values[-1] <= DEPENDENT * values[0])
 
 
-class ReducedStats(NamedTuple):
-    """logdet = log|R| and gram = [F y]'R^-1[F y]. Not positive definite: `ok` is False and both are NaN."""
+class ExactPoint(NamedTuple):
+    """logdet = log|R| and gram = [F y]'R^-1[F y] at u, with their derivatives by u; NaN where R is not positive
+    definite, and derivatives also where they were not asked for."""
 
+    u: LengthsAndNoise
     logdet: float
     gram: Float[np.ndarray, "m m"]
-    ok: bool = True
+    d_logdet: LengthsAndNoise
+    d_gram: Float[np.ndarray, "u m m"]
 
-
-class ReducedGradient(NamedTuple):
-    """Derivatives of logdet (d + 1,) and gram (d + 1, m, m) with respect to u."""
-
-    logdet: Float[np.ndarray, " u"]
-    gram: Float[np.ndarray, "u m m"]
+    @property
+    def ok(self) -> bool:
+        return math.isfinite(self.logdet)
 
 
 def factorise(
-    u: Float[np.ndarray, " u"], data: ReducedData, se: Float[np.ndarray, "n n"] | None = None
+    u: LengthsAndNoise, data: ReducedData, se: Float[np.ndarray, "n n"] | None = None
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n m"]] | None:
     """Lower Cholesky factor of R at u = (log l, log g), and R^-1 [F y]; None if R has none. `se`: SE(l), if known."""
     d = data.x.shape[1]
@@ -323,52 +273,31 @@ def factorise(
     return None if info != 0 else (lower, dpotrs(lower, data.fy, lower=1)[0])
 
 
-def _stats(factor: tuple[np.ndarray, np.ndarray] | None, data: ReducedData) -> ReducedStats:
-    if factor is None:
-        m = data.fy.shape[1]
-        return ReducedStats(np.nan, np.full((m, m), np.nan), ok=False)
-    lower, v = factor
-    gram = data.fy.T @ v
-    return ReducedStats(2.0 * float(np.sum(np.log(np.diagonal(lower)))), 0.5 * (gram + gram.T))
-
-
-def reduced_stats(u: Float[np.ndarray, " u"], data: ReducedData) -> ReducedStats:
-    """logdet and gram at u = (log l, log g): one Cholesky factorisation."""
-    return _stats(factorise(u, data), data)
-
-
-def stats_and_gradient(u: Float[np.ndarray, " u"], data: ReducedData) -> tuple[ReducedStats, ReducedGradient]:
-    """logdet, gram and their derivatives with respect to u: one factorisation and one inversion."""
+def exact_point(u: LengthsAndNoise, data: ReducedData, *, slopes: bool = True) -> ExactPoint:
+    """The exact statistics at u: one factorisation, and one inversion for their `slopes`."""
     d, m = data.x.shape[1], data.fy.shape[1]
     d_logdet, d_gram = np.full(d + 1, np.nan), np.full((d + 1, m, m), np.nan)
     with blas_threads(data.n):
         x, g = data.x / np.exp(u[:d]), float(np.exp(u[d]))
-        se = scaled_distance_kernel(x, x)
+        se = scaled_distance_kernel(x, x) if slopes else None
         factor = factorise(u, data, se)
-        stats = _stats(factor, data)
         if factor is None:
-            return stats, ReducedGradient(d_logdet, d_gram)
+            return ExactPoint(u, math.nan, np.full((m, m), np.nan), d_logdet, d_gram)
         lower, v = factor
-        xv = [x[:, [k]] * v for k in range(d)]
-        se_v = se @ np.concatenate([v, *xv], axis=1)
-        for k in range(d):
-            cross = (x[:, [k]] * xv[k]).T @ se_v[:, :m]
-            d_gram[k] = 2.0 * xv[k].T @ se_v[:, m * (k + 1) : m * (k + 2)] - cross - cross.T
-        d_gram[d] = -g * v.T @ v
-        inverse, _ = dpotri(lower, lower=1, overwrite_c=1)
-        d_logdet[d] = g * np.trace(inverse)
-        half = np.multiply(inverse.T, se, out=se)  # one triangle of R^-1 o SE, the other is zero
-        d_logdet[:d] = 2.0 * ((x * x).T @ (half.sum(axis=0) + half.sum(axis=1)))
-        d_logdet[:d] -= 4.0 * np.einsum("ij,ij->j", x, half @ x)
-    return stats, ReducedGradient(d_logdet, d_gram)
-
-
-class ExactPoint(NamedTuple):
-    """One exact evaluation for training: u, the statistics and, where they were computed, their derivatives."""
-
-    u: Float[np.ndarray, " u"]
-    stats: ReducedStats
-    gradient: ReducedGradient | None
+        gram, logdet = data.fy.T @ v, 2.0 * float(np.sum(np.log(np.diagonal(lower))))
+        if se is not None:
+            xv = [x[:, [k]] * v for k in range(d)]
+            se_v = se @ np.concatenate([v, *xv], axis=1)
+            for k in range(d):
+                cross = (x[:, [k]] * xv[k]).T @ se_v[:, :m]
+                d_gram[k] = 2.0 * xv[k].T @ se_v[:, m * (k + 1) : m * (k + 2)] - cross - cross.T
+            d_gram[d] = -g * v.T @ v
+            inverse, _ = dpotri(lower, lower=1, overwrite_c=1)
+            d_logdet[d] = g * np.trace(inverse)
+            half = np.multiply(inverse.T, se, out=se)  # one triangle of R^-1 o SE, the other is zero
+            d_logdet[:d] = 2.0 * ((x * x).T @ (half.sum(axis=0) + half.sum(axis=1)))
+            d_logdet[:d] -= 4.0 * np.einsum("ij,ij->j", x, half @ x)
+    return ExactPoint(u, logdet, 0.5 * (gram + gram.T), d_logdet, d_gram)
 
 
 # --- The most probable hyperparameters: many fast starts on thinned data, the best few refined at all n points.
@@ -402,49 +331,43 @@ class MapStatus(enum.Enum):
 class Optimum(NamedTuple):
     """A local optimum: theta (2d + 3,), its log posterior and the largest gradient component left in u."""
 
-    theta: Float[np.ndarray, " p"]
+    theta: Theta
     value: float
     gradient: float
     status: MapStatus
 
     @property
-    def u(self) -> Float[np.ndarray, " u"]:
+    def u(self) -> LengthsAndNoise:
         return noise_to_signal(self.theta)
-
-
-class _NotPositiveDefiniteError(Exception):
-    """R has no Cholesky factor at this u."""
 
 
 class ProfilePosterior:
     """max over w of log q + log p(y | w, u); `w` is the next start, `points` has every exact evaluation."""
 
     def __init__(self, data: ReducedData, priors: Priors, w: Float[np.ndarray, " w"] | None = None):
-        self.data, self.priors, self.n = data, priors, float(data.n)
+        self.data, self.priors = data, priors
         self.w = np.zeros(data.x.shape[1] + 2) if w is None else w
         self.points: list[ExactPoint] = []
 
-    def inner(self, u: Float[np.ndarray, " u"], stats: ReducedStats) -> Slopes:
-        try:
-            self.w, found = best_sizes(self.w, u, stats, self.n, self.priors)
-        except np.linalg.LinAlgError:
-            raise _NotPositiveDefiniteError from None
-        return found
+    def inner(self, point: ExactPoint) -> Slopes:
+        """The posterior at the best w; `LinAlgError` where a matrix is not positive definite."""
+        if not point.ok:
+            raise np.linalg.LinAlgError
+        self.w, best = best_sizes(self.w, point, self.data.n, self.priors)
+        return best
 
-    def __call__(self, u: Float[np.ndarray, " u"]) -> tuple[float, Float[np.ndarray, " u"], Float[np.ndarray, " p"]]:
-        stats, du = stats_and_gradient(u, self.data)
-        self.points.append(ExactPoint(u, stats, du))
-        if not stats.ok:
-            raise _NotPositiveDefiniteError
-        best = self.inner(u, stats)
-        gradient = best.by_logdet * du.logdet + np.tensordot(du.gram, best.by_gram, 2)
+    def __call__(self, u: LengthsAndNoise) -> tuple[float, LengthsAndNoise, Theta]:
+        point = exact_point(u, self.data)
+        self.points.append(point)
+        best = self.inner(point)
+        gradient = -0.5 * point.d_logdet + np.tensordot(point.d_gram, best.by_gram, 2)
         gradient[:-1] += best.by_theta[length_slice(u.size - 1)]
         gradient[-1] += 0.5 * best.by_theta[-1]
         return best.value, gradient, assemble(self.w, u)
 
 
 def maximise(
-    u: Float[np.ndarray, " u"],
+    u: LengthsAndNoise,
     data: ReducedData,
     priors: Priors,
     *,
@@ -476,7 +399,7 @@ def maximise(
     try:
         out = minimize(negative, start, jac=True, method=method, bounds=limits, options=options)
         status = MapStatus.iteration_limit if out.status == 1 else MapStatus.converged
-    except _NotPositiveDefiniteError:
+    except np.linalg.LinAlgError:
         status = MapStatus.not_positive_definite
     if best is None:
         return Optimum(assemble(profile.w, u), -np.inf, np.inf, status)
@@ -490,15 +413,14 @@ def maximise(
 
 
 def starting_points(priors: Priors, d: int, count: int, seed: int) -> Float[np.ndarray, "starts u"]:
-    """`count` starts in u: three fixed ones, the rest from the prior (log-normal(1, 1) where it is flat)."""
-    length, noise = priors.length, priors.noise
-    length = HyperPrior("log-normal", 1.0, 1.0) if length.family == "flat" else length
-    noise = HyperPrior("log-normal", 0.1, 1.0) if noise.family == "flat" else noise
+    """`count` starts in u: three fixed ones, the rest from the prior (that of `Priors()` where it is flat)."""
+    length, noise = (
+        q if q.family != "flat" else usual for q, usual in zip(priors.each[3:], Priors().each[3:], strict=True)
+    )
     fixed = np.array([[0.0] * d + [-3.0], [1.0] * d + [-3.0], [-1.0] * d + [-1.0]])
     keys = jax.random.split(jax.random.PRNGKey(seed))
-    lengths = np.asarray(length.sample(keys[0], (count, d)))
-    noises = 2.0 * np.asarray(noise.sample(keys[1], (count, 1)))
-    return np.concatenate([fixed, np.hstack([lengths, noises])])[:count]
+    drawn = np.hstack([length.sample(keys[0], (count, d)), 2.0 * noise.sample(keys[1], (count, 1))])
+    return np.concatenate([fixed, drawn])[:count]
 
 
 def thinned(data: ReducedData, size: int, seed: int) -> ReducedData:
@@ -519,29 +441,15 @@ def distinct(optima: list[Optimum], count: int) -> list[Optimum]:
     return kept[:count]
 
 
-def find_map(
-    data: ReducedData,
-    priors: Priors,
-    *,
-    starts: int = 16,
-    polish: int = 2,
-    seed: int = 0,
-    progress: Callable[[str], None] | None = None,
-) -> list[Optimum]:
+def find_map(data: ReducedData, priors: Priors, *, starts: int = 16, polish: int = 2, seed: int = 0) -> list[Optimum]:
     """The distinct optima found, best first: `starts` on 300 points, the best 4 on 1000, the best `polish` on n."""
-    tell = progress or (lambda _: None)
     d = data.x.shape[1]
-    screen = thinned(data, SCREEN_SIZE, seed)
-    tell(f"screening {starts} starts on {screen.n} points")
+    screen, middle = thinned(data, SCREEN_SIZE, seed), thinned(data, MIDDLE_SIZE, seed + 1)
     points = starting_points(priors, d, starts, seed)
-    optima = [maximise(u, screen, priors, max_iterations=30, tolerance=1e-5) for u in points]
-    optima = distinct(optima, 4)
-    middle = thinned(data, MIDDLE_SIZE, seed + 1)
+    optima = distinct([maximise(u, screen, priors, max_iterations=30, tolerance=1e-5) for u in points], 4)
     if middle.n > screen.n:
-        tell(f"refining {len(optima)} optima on {middle.n} points")
-        optima = [maximise(o.u, middle, priors, w=o.theta[: d + 2], max_iterations=40, tolerance=1e-7) for o in optima]
-        optima = distinct(optima, polish)
-    tell(f"polishing {len(optima[:polish])} optima on all {data.n} points")
+        limits: Any = {"max_iterations": 40, "tolerance": 1e-7}
+        optima = distinct([maximise(o.u, middle, priors, w=o.theta[: d + 2], **limits) for o in optima], polish)
     whole = []
     for o in optima[:polish]:
         guess = None
@@ -577,26 +485,24 @@ MIN_STEP, MAX_STEPS = 1e-9, 100
 
 
 class Slopes(NamedTuple):
-    """Log posterior at theta, with its derivatives by theta (p,), by w (k,) once and twice, by logdet and by gram."""
+    """Log posterior at theta, with its derivatives by theta (p,), by w (k,) once and twice, and by gram; by logdet it
+    is -1/2."""
 
     value: float
     by_theta: Float[np.ndarray, " p"]
     by_w: Float[np.ndarray, " k"]
     by_w_twice: Float[np.ndarray, "k k"]
-    by_logdet: float
     by_gram: Float[np.ndarray, "m m"]
 
 
-def assemble(w: Float[np.ndarray, " w"], u: Float[np.ndarray, " u"]) -> Float[np.ndarray, " p"]:
+def assemble(w: Float[np.ndarray, " w"], u: LengthsAndNoise) -> Float[np.ndarray, " p"]:
     """theta from w = log (s0, s_i, sf) and u = (log l, log g)."""
     return np.concatenate([w, u[:-1], [w[-1] + 0.5 * u[-1]]])
 
 
-def slopes(
-    w: Float[np.ndarray, " k"], u: Float[np.ndarray, " u"], stats: ReducedStats, n: float, priors: Priors
-) -> Slopes:
-    """The posterior at (w, u) given the statistics at u; derivatives by w let log sn move with log sf, by theta not."""
-    m, gram, log_sf = w.size - 1, stats.gram, w[-1]
+def slopes(w: Float[np.ndarray, " k"], point: ExactPoint, n: int, priors: Priors) -> Slopes:
+    """The posterior at (w, point.u) of n samples; derivatives by w let log sn move with log sf, by theta not."""
+    m, gram, log_sf = w.size - 1, point.gram, w[-1]
     G, b, c, e = gram[:m, :m], gram[:m, m], gram[m, m], np.exp(-2.0 * log_sf)
     r = np.exp(w[:m] - log_sf)
     lower = np.linalg.cholesky(np.eye(m) + r[:, None] * G * r)
@@ -604,8 +510,8 @@ def slopes(
     P = P.T @ P
     y = P @ (r * b)
     quadratic = (c - (r * b) @ y) * e
-    log_k = 2.0 * n * log_sf + stats.logdet + 2.0 * np.sum(np.log(np.diagonal(lower)))
-    theta = assemble(w, u)
+    log_k = 2.0 * n * log_sf + point.logdet + 2.0 * np.sum(np.log(np.diagonal(lower)))
+    theta = assemble(w, point.u)
     density, slope, bend = priors.slopes(theta)
     value = -0.5 * (quadratic + log_k + n * np.log(2.0 * np.pi)) + density
 
@@ -628,34 +534,31 @@ def slopes(
     by_gram[:m, :m] = -0.5 * (e * np.outer(z, z) + r[:, None] * P * r)
     by_gram[:m, m] = e * z
     by_gram[m, m] = -0.5 * e
-    return Slopes(float(value), by_theta, first, second, -0.5, by_gram)
+    return Slopes(float(value), by_theta, first, second, by_gram)
 
 
-def log_posterior(theta: Float[np.ndarray, " p"], data: ReducedData, priors: Priors) -> tuple[float, ReducedStats]:
+def log_posterior(theta: Theta, data: ReducedData, priors: Priors) -> tuple[float, ExactPoint]:
     """log q(theta) + log p(y | theta) at all n points, NaN where K is not positive definite; and the statistics."""
-    u = noise_to_signal(theta)
-    stats = reduced_stats(u, data)
-    return density_at(theta, u, stats, float(data.n), priors) if stats.ok else math.nan, stats
+    point = exact_point(noise_to_signal(theta), data, slopes=False)
+    return density_at(theta, point, data.n, priors), point
 
 
-def density_at(
-    theta: Float[np.ndarray, " p"], u: Float[np.ndarray, " u"], stats: ReducedStats, n: float, priors: Priors
-) -> float:
-    """The log posterior given the statistics at u; NaN where sds are too far apart for double precision."""
+def density_at(theta: Theta, point: ExactPoint, n: int, priors: Priors) -> float:
+    """The log posterior given the statistics; NaN where there are none, or sds too far apart for double precision."""
     try:
-        return slopes(theta[: u.size + 1], u, stats, n, priors).value
+        return slopes(theta[: point.u.size + 1], point, n, priors).value if point.ok else math.nan
     except np.linalg.LinAlgError:
         return math.nan
 
 
 def best_sizes(
-    w: Float[np.ndarray, " k"], u: Float[np.ndarray, " u"], stats: ReducedStats, n: float, priors: Priors
+    w: Float[np.ndarray, " k"], point: ExactPoint, n: int, priors: Priors
 ) -> tuple[Float[np.ndarray, " k"], Slopes]:
-    """w at the top of the posterior at u, from a start `w`, within `SD_BOUNDS`; and the posterior there."""
+    """w at the top of the posterior at point.u, from a start `w`, within `SD_BOUNDS`; and the posterior there."""
     # Curvatures count by their size, so that the step leads uphill where the posterior is not concave, too.
     low, high = SD_BOUNDS
     w = np.clip(w, low, high)
-    at, radius = slopes(w, u, stats, n, priors), FIRST_STEP
+    at, radius = slopes(w, point, n, priors), FIRST_STEP
     for _ in range(MAX_STEPS):
         held = ((w <= low) & (at.by_w < 0.0)) | ((w >= high) & (at.by_w > 0.0))
         g = np.where(held, 0.0, at.by_w)
@@ -666,7 +569,7 @@ def best_sizes(
         step *= min(1.0, radius / max(length, 1e-300))
         there = np.clip(w + step, low, high)
         try:
-            new = slopes(there, u, stats, n, priors)
+            new = slopes(there, point, n, priors)
         except np.linalg.LinAlgError:  # sds too far apart for double precision
             new = None
         if new is not None and new.value >= at.value:
