@@ -563,28 +563,19 @@ OfPoints = Float[AnyArray, " points"]  # its length is checked in words
 COLOURED_INNOVATIONS = 0.3  # correlation of neighbouring innovations beyond which something is not modelled; our choice
 
 
-class ScoreStatus(enum.Enum):
-    """Whether every score is defined; the value is the text for the user."""
-
-    ok = "All four scores are defined."
-    constant_measurement = "The measured channel does not vary: r and R2 are undefined; compare RMSE with the noise."
-    constant_prediction = "The prediction does not vary: r is undefined; look at RMSE and R2."
-
-
 @dataclass(frozen=True)
 class Scores:
     """Scores of one predicted channel against its measurement.
 
     `r` is Pearson's correlation, `rmse` has the unit of the channel, `theil` is Theil's
     inequality coefficient rms(z - y)/(rms z + rms y) (0 perfect, 1 worst), `r2` is 1 - SSE/SST. A score that
-    does not exist is NaN and `status` says which and why.
+    does not exist, because the measurement or the prediction does not vary, is NaN.
     """
 
     r: float
     rmse: float
     theil: float
     r2: float
-    status: ScoreStatus = ScoreStatus.ok
 
 
 class Calibration(enum.Enum):
@@ -638,7 +629,8 @@ class OneStep:
         return "undecided" if found <= {Calibration.CALIBRATED, Calibration.UNDECIDED} else "not_calibrated"
 
 
-def _finite_pair(measured: Vector, predicted: OfPoints) -> tuple[np.ndarray, np.ndarray]:
+def score(measured: Vector, predicted: OfPoints) -> Scores:
+    """Scores of `predicted` (n,) against `measured` (n,), both in the unit of the channel."""
     z, y = np.asarray(measured, float), np.asarray(predicted, float)
     if z.ndim != 1 or z.shape != y.shape or z.size < 2:
         raise InputError(f"Measured {z.shape} and predicted {y.shape} must be vectors of one length >= 2.")
@@ -646,41 +638,22 @@ def _finite_pair(measured: Vector, predicted: OfPoints) -> tuple[np.ndarray, np.
         if not np.all(np.isfinite(x)):
             at = int(np.flatnonzero(~np.isfinite(x))[0])
             raise InputError(f"The {name} channel is not finite at sample {at}; remove or repair that sample.")
-    return z, y
-
-
-def score(measured: Vector, predicted: OfPoints) -> Scores:
-    """Scores of `predicted` (n,) against `measured` (n,), both in the unit of the channel."""
-    z, y = _finite_pair(measured, predicted)
-    residual = z - y
-    rmse, rms_z, rms_y = (float(np.sqrt(np.mean(np.square(x)))) for x in (residual, z, y))
-    size = rms_z + rms_y
-    theil = rmse / size if size > 0 else 0.0
+    rmse, rms_z, rms_y = (float(np.sqrt(np.mean(np.square(x)))) for x in (z - y, z, y))
+    theil = rmse / (rms_z + rms_y) if rms_z + rms_y > 0 else 0.0
     # A spread below the rounding of the values themselves is no spread.
-    z_varies = np.ptp(z) > 8 * np.finfo(float).eps * np.max(np.abs(z))
-    y_varies = np.ptp(y) > 8 * np.finfo(float).eps * np.max(np.abs(y))
-    r2 = 1.0 - float(np.sum(residual**2) / np.sum((z - z.mean()) ** 2)) if z_varies else float("nan")
+    z_varies, y_varies = (np.ptp(x) > 8 * np.finfo(float).eps * np.max(np.abs(x)) for x in (z, y))
+    r2 = 1.0 - float(np.sum((z - y) ** 2) / np.sum((z - z.mean()) ** 2)) if z_varies else float("nan")
     r = float(np.corrcoef(z, y)[0, 1]) if z_varies and y_varies else float("nan")
-    status = ScoreStatus.ok
-    if not z_varies:
-        status = ScoreStatus.constant_measurement
-    elif not y_varies:
-        status = ScoreStatus.constant_prediction
-    return Scores(r, rmse, theil, r2, status)
+    return Scores(r, rmse, theil, r2)
 
 
-def interval_coverage(
-    measured: Vector, draws: Draws, levels: tuple[float, ...] = (0.5, 0.9, 0.95)
-) -> dict[float, float]:
+def interval_coverage(measured: Vector, draws: Draws) -> dict[float, float]:
     """Share of `measured` (n,) inside the central intervals of predictive `draws` (draws, n), by level."""
     z, y = np.asarray(measured, float), np.asarray(draws, float)
-    if y.ndim != 2 or y.shape[1:] != z.shape or y.shape[0] < 2:
-        raise InputError(f"Draws {y.shape} must be (draws >= 2, {z.size}) to go with {z.size} measurements.")
-    _finite_pair(z, y[0])
-    if not all(0 < level < 1 for level in levels):
-        raise InputError(f"Interval levels {levels} must lie between 0 and 1, for instance 0.95.")
+    if y.shape[1:] != z.shape:
+        raise InputError(f"Draws {y.shape} must be (draws, {z.size}) to go with {z.size} measurements.")
     coverage = {}
-    for level in levels:
+    for level in (0.5, 0.9, 0.95):
         low, high = np.quantile(y, [(1 - level) / 2, (1 + level) / 2], axis=0)
         coverage[level] = float(np.mean((z >= low) & (z <= high)))
     return coverage

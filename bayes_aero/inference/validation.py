@@ -6,7 +6,6 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -76,9 +75,9 @@ def gp_inputs(observations: Observations, names: tuple[str, ...]) -> Float[np.nd
 
 
 class Training(NamedTuple):
-    """How Gaussian processes are trained."""
+    """How Gaussian processes are trained: hyperparameters are sampled, if `sample`, for the first fold of the split
+    `chosen`; for the others, at their mode."""
 
-    # Hyperparameters are sampled, if `sample`, for the first fold of the split `chosen`; for the others, at their mode.
     chosen: SplitKind
     seed: int = 0
     sample: bool = True
@@ -94,33 +93,28 @@ def validate(
 ) -> GPReport:
     """Train on each split's training points and score on its test points, both models on the same ones."""
     # A split that the records do not allow (`manoeuvre` with one record) is left out.
-    began, names = time.perf_counter(), observations.coefficients
-    chosen, left_out = training.chosen, ()
-    kinds: tuple[SplitKind, ...] = KINDS
-    if len(observations.names) < 2:
-        kinds = tuple(kind for kind in kinds if kind != "manoeuvre")
-        chosen = "block" if chosen == "manoeuvre" else chosen
-    short = too_short(observations.manoeuvre, observations.dt)
-    if short is not None:
-        kinds = tuple(kind for kind in kinds if kind != "block")
-        chosen = kinds[0] if chosen == "block" else chosen
-        left_out = (
-            f"The Gaussian process was not tested on hold-out blocks: {observations.names[short]} is shorter than two "
-            f"blocks of {BLOCK_SECONDS:g} s.",
-        )
-    splits = {kind: make_splits(kind, observations.manoeuvre, observations.dt, training.seed) for kind in kinds}
+    began, names, left_out = time.perf_counter(), observations.coefficients, ()
+    splits = {}
+    for kind in KINDS:
+        short = too_short(observations.manoeuvre, observations.dt) if kind == "block" else None
+        if short is not None:
+            left_out = (
+                f"The Gaussian process was not tested on hold-out blocks: {observations.names[short]} is shorter than "
+                f"two blocks of {BLOCK_SECONDS:g} s.",
+            )
+        elif kind != "manoeuvre" or len(observations.names) > 1:
+            splits[kind] = make_splits(kind, observations.manoeuvre, observations.dt, training.seed)
+    chosen = next(k for k in (training.chosen, "block", "random") if k in splits)
     largest = max(len(f.train_idx) for folds in splits.values() for f in folds)
     if largest > MAX_SAMPLES:
         raise InputError(too_many(largest))
     X, z = gp_inputs(observations, inputs), np.asarray(observations.measured)
-    tidy = largest >= WORTH_PROCESSES  # below, compiling anew for every fit costs more than memory is worth
-    work = []
-    for kind, folds in splits.items():
-        for number, fold in enumerate(folds):
-            sampled = training.sample and kind == chosen and number == 0
-            own: tuple[Any, ...] = (X, inputs, fold, kind, number, sampled, training.seed, tidy, os.getpid())
-            work += [_Work(name, z[:, i], *own) for i, name in enumerate(names)]
-    work.sort(key=lambda task: not task.sampled)  # the long ones first
+    work = {}  # the long ones, which are sampled, first
+    every = [(kind, number) for kind, folds in splits.items() for number in range(len(folds))]
+    for kind, number in sorted(every, key=lambda fold: fold != (chosen, 0)):
+        sampled = training.sample and (kind, number) == (chosen, 0)
+        for c, name in enumerate(names):
+            work[kind, number, name] = X, z[:, c], (*inputs, name), splits[kind][number], (sampled, training.seed)
     trained = _trained(work, largest, progress)
     found: dict[str, list[dict[str, Validation]]] = {kind: [{} for _ in folds] for kind, folds in splits.items()}
     for kind, folds in splits.items():
@@ -131,71 +125,58 @@ def validate(
             for name, measured, by_mle in zip(names, z[test].T, np.asarray(y)[test].T, strict=True):
                 both = {"measured": measured, "mle": by_mle, "mle_scores": score(measured, by_mle)}
                 found[kind][number][name] = Validation(test=test, **both, **trained[kind, number, name][1])
-    fits = {name: fit for (_, _, name), (fit, _) in trained.items() if fit is not None}
-    seconds = time.perf_counter() - began
-    return GPReport(found, {n: fits[n] for n in names if n in fits}, chosen, seconds, left_out)
+    fits = {name: trained[chosen, 0, name][0] for name in names if training.sample}
+    return GPReport(found, fits, chosen, time.perf_counter() - began, left_out)
 
 
-class _Work(NamedTuple):
-    """One fit, for another process; `parent` is the id of the calling process."""
-
-    coefficient: str
-    z: Float[np.ndarray, " n"]
-    X: Float[np.ndarray, "n d"]
-    inputs: tuple[str, ...]
-    fold: HoldoutSplit
-    kind: SplitKind
-    number: int  # of the fold
-    sampled: bool
-    seed: int
-    tidy: bool
-    parent: int
-
-    def train(self) -> tuple[GPFit | None, dict[str, Any]]:
-        exit_with(self.parent)
-        train, test = self.fold.train_idx, self.fold.test_idx
-        fit = fit_gp(
-            self.X[train],
-            self.z[train],
-            names=(*self.inputs, self.coefficient),
-            priors=Priors.quasi_steady(),
-            sample=self.sampled,
-            budget=Budget(seed=self.seed),
-        )
-        if self.tidy:
-            give_back_memory()
-        measured, prediction = self.z[test], fit.predict(self.X[test])
-        level = prediction.levels.index(LEVEL)
-        part = {
-            "gp": prediction.mean,
-            "gp_low": prediction.low[level],
-            "gp_high": prediction.high[level],
-            "gp_scores": score(measured, prediction.mean),
-            "coverage": prediction.coverage(measured),
-            "k_hat": float(fit.k_hat) if np.isfinite(fit.k_hat) else None,
-            "status": fit.status.value if self.sampled else fit.map_status.value,
-        }
-        return fit if self.sampled else None, part
+def _train(
+    parent: int,
+    tidy: bool,
+    X: Float[np.ndarray, "n d"],
+    z: Float[np.ndarray, " n"],
+    names: tuple[str, ...],
+    fold: HoldoutSplit,
+    sampled_with_seed: tuple[bool, int],
+) -> tuple[GPFit, dict[str, Any]]:
+    """One fit, in a process that ends with its `parent`, and its scores."""
+    exit_with(parent)
+    train, test, (sampled, seed) = fold.train_idx, fold.test_idx, sampled_with_seed
+    priors = Priors.quasi_steady()
+    fit = fit_gp(X[train], z[train], names=names, priors=priors, sample=sampled, budget=Budget(seed=seed))
+    if tidy:
+        give_back_memory()
+    measured, prediction = z[test], fit.predict(X[test])
+    level = prediction.levels.index(LEVEL)
+    return fit, {
+        "gp": prediction.mean,
+        "gp_low": prediction.low[level],
+        "gp_high": prediction.high[level],
+        "gp_scores": score(measured, prediction.mean),
+        "coverage": prediction.coverage(measured),
+        "k_hat": float(fit.k_hat) if np.isfinite(fit.k_hat) else None,
+        "status": fit.status.value if sampled else fit.map_status.value,
+    }
 
 
-def _trained(work: Sequence[_Work], n: int, progress: Progress | None) -> dict[tuple[str, int, str], Any]:
-    jobs, trained = 1, {}
-    if n >= WORTH_PROCESSES:  # by cores and memory: each takes eight n x n matrices and 1 GiB for the compiler
+def _trained(work: dict[tuple[str, int, str], Any], n: int, progress: Progress | None) -> dict[tuple, Any]:
+    jobs, trained, tidy = 1, {}, n >= WORTH_PROCESSES  # fewer samples: compiling anew costs more than memory is worth
+    if tidy:  # by cores and memory: each takes eight n x n matrices and 1 GiB for the compiler
         each = 8 * 8 * n**2 + 2**30
         free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if sys.platform == "linux" else 2 * each
         jobs = max(1, min(len(work), cores(), free // each))
         give_back_memory()
     # LAPACK holds Python's lock and gains little from a second thread at these sizes: one process a core.
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        results: Any = Parallel(n_jobs=jobs, return_as="generator")(delayed(_Work.train)(one) for one in work)
+        tasks = (delayed(_train)(os.getpid(), tidy, *given) for given in work.values())
+        results: Any = Parallel(n_jobs=jobs, return_as="generator")(tasks)
         try:
-            for one, result in zip(work, results, strict=True):
-                trained[one.kind, one.number, one.coefficient] = result
+            for (kind, number, name), result in zip(work, results, strict=True):
+                trained[kind, number, name] = result
                 if progress:
-                    progress(f"gp: {one.coefficient}, {one.kind} split", len(trained) / len(work))
+                    progress(f"gp: {name}, {kind} split", len(trained) / len(work))
         except TerminatedWorkerError:
             raise InputError(
-                f"a process that trained on up to {len(work[0].z)} samples was killed, probably for lack of memory; "
+                f"a process that trained on up to {n} samples was killed, probably for lack of memory; "
                 "thin the records or free memory"
             ) from None
     return trained
@@ -214,17 +195,15 @@ MAX_FOLDS = 10  # of manoeuvres; more manoeuvres are held out in groups
 BLOCK_SECONDS = 4.0  # our choice: about 100 samples, longer than the memory of the residuals (1-2 s)
 
 
-@dataclass(frozen=True, eq=False)
-class HoldoutSplit:
+class HoldoutSplit(NamedTuple):
     """One division of the samples: sorted indices `train_idx` and `test_idx`, disjoint and complete."""
 
-    name: str
     train_idx: Int[np.ndarray, " n_train"]
     test_idx: Int[np.ndarray, " n_test"]
 
     @classmethod
-    def of(cls, name: str, train: np.ndarray) -> HoldoutSplit:
-        return cls(name, np.flatnonzero(train), np.flatnonzero(~train))
+    def of(cls, train: np.ndarray) -> HoldoutSplit:
+        return cls(np.flatnonzero(train), np.flatnonzero(~train))
 
 
 def make_splits(
@@ -246,16 +225,13 @@ def make_splits(
                 "A manoeuvre split needs at least two records, one to train on and one to predict; "
                 "add a record or use the block split."
             )
-        if names.size <= MAX_FOLDS:
-            return [HoldoutSplit.of(f"manoeuvre {held}", index != held) for held in names]
-        groups = np.array_split(names, MAX_FOLDS)
-        return [HoldoutSplit.of(f"manoeuvres {held[0]} to {held[-1]}", ~np.isin(index, held)) for held in groups]
+        return [HoldoutSplit.of(~np.isin(index, held)) for held in np.array_split(names, min(names.size, MAX_FOLDS))]
     if kind not in ("random", "block"):
         raise InputError(f"Unknown split {kind!r}; choose one of {', '.join(get_args(SplitKind))}.")
     rng, train, length = np.random.default_rng(seed), np.zeros(index.size, bool), round(block_seconds / dt)
     if kind == "random":
         train[rng.permutation(index.size)[: round(TRAIN_SHARE * index.size)]] = True
-        return [HoldoutSplit.of(kind, train)]
+        return [HoldoutSplit.of(train)]
     for manoeuvre in np.unique(index):  # the same share of every manoeuvre trains
         samples = np.flatnonzero(index == manoeuvre)
         count = samples.size // max(length, 1)
@@ -268,7 +244,7 @@ def make_splits(
         n_train = min(max(round(TRAIN_SHARE * count), 1), count - 1)
         for b in rng.permutation(count)[:n_train]:
             train[blocks[b]] = True
-    return [HoldoutSplit.of(kind, train)]
+    return [HoldoutSplit.of(train)]
 
 
 def too_short(manoeuvre_index: Index, dt: float, block_seconds: float = BLOCK_SECONDS) -> int | None:
@@ -283,9 +259,7 @@ def too_short(manoeuvre_index: Index, dt: float, block_seconds: float = BLOCK_SE
 # to are not: what moves fast is then smaller in the measured coefficient than in the modelled one. With every signal
 # filtered alike both sides are treated alike.
 
-
 BEYOND = 2.0  # corrected deviations, from which a move is worth a word
-SHOWN = 4
 
 
 def filter_mismatch_notes(records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult) -> tuple[str, ...]:
@@ -294,23 +268,18 @@ def filter_mismatch_notes(records: Sequence[FlightRecord], card: Card, model: Mo
     if mle.status not in sound:
         return ()
     alike = fit_mle(model, observe(records, card, model, Forming.MATCHED), start=mle.estimate, extra_starts=0)
-    if alike.status not in sound:
-        return ()
-    sd = mle.crb_corrected
-    away = np.abs(alike.estimate - mle.estimate) / np.where(sd > 0.0, sd, np.inf)
+    away = np.abs(alike.estimate - mle.estimate) / np.where(mle.crb_corrected > 0.0, mle.crb_corrected, np.inf)
     far = [i for i in np.argsort(-away) if away[i] > BEYOND]
-    if not far:
+    if alike.status not in sound or not far:
         return ()
-    told = "; ".join(
+    moves = "; ".join(
         f"{mle.names[i]} would be {alike.estimate[i]:.4g} {mle.units[i] if mle.units[i] != '1' else ''}".rstrip()
         + f" instead of {mle.estimate[i]:.4g} ({away[i]:.1f} corrected standard errors)"
-        for i in far[:SHOWN]
+        for i in far
     )
-    more = f", and {len(far) - SHOWN} more move" if len(far) > SHOWN else ""
     return (
         "Coefficients are formed as published: measured accelerations are smoothed, control inputs of the model are "
-        f"not, and alpha-dot is the derivative of the vane angle. With the same filter on all signals, "
-        f"{told}{more}. No "
+        f"not, and alpha-dot is the derivative of the vane angle. With the same filter on all signals, {moves}. No "
         "interval here includes this difference; without --coefficients published both sides are filtered alike.",
     )
 
@@ -320,7 +289,7 @@ def filter_mismatch_notes(records: Sequence[FlightRecord], card: Card, model: Mo
 # manoeuvre; under white noise they carry no information, and the values are those of the predictive distribution.
 # Sources: Dawid 1984, J. R. Stat. Soc. A 147, 278; Diebold, Gunther and Tay 1998, Int. Econ. Rev. 39, 863.
 
-DRAWS = 200  # of the posterior: the probability of a sample hardly varies between them; our choice
+PIT_DRAWS = 200  # of the posterior: the probability of a sample hardly varies between them; our choice
 MAX_BINS, MIN_PER_BIN = 20, 20
 BAND = 0.95  # that all bars of uniform values lie inside
 
@@ -340,7 +309,7 @@ def pit_of(run: Identification) -> PitResult | None:
 
 def pit(density: Density, x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n c"]:
     """Posterior probability of less than what was measured, from draws `x` as rows; by sample and coefficient."""
-    kept = x[np.linspace(0, len(x) - 1, min(len(x), DRAWS)).astype(int)]
+    kept = x[np.linspace(0, len(x) - 1, min(len(x), PIT_DRAWS)).astype(int)]
     return np.asarray(_mean_probability(density, jnp.asarray(kept)))
 
 
@@ -435,16 +404,15 @@ def probability_transform(found: Filtered) -> Float[np.ndarray, "w n c"]:
 
 def one_step(found: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Sequence[str]) -> OneStep:
     """One-step predictions of w filtered segments, from errors (w, n, c), of outputs with two innovations or more."""
-    z, u, correlation = _standardised(found), probability_transform(found), neighbour_correlation(found)
+    z, correlation = _standardised(found), neighbour_correlation(found)
     columns = [c for c in range(len(outputs)) if np.isfinite(z[..., c]).sum() > 1]
     tests = len(LEVELS) * (len(columns) + (len(columns) > 1))
     by_output = {}
     for c in columns:
         rms = float(np.sqrt(np.nanmean(np.square(np.asarray(errors)[..., c]))))
-        by_output[outputs[c]] = _assess(
-            z[..., [c]], u[..., [c]], rms, bool(abs(correlation[c]) > COLOURED_INNOVATIONS), tests
-        )
-    return OneStep(by_output, _assess(z[..., columns], u[..., columns], None, False, tests))
+        coloured = bool(abs(correlation[c]) > COLOURED_INNOVATIONS)
+        by_output[outputs[c]] = _assess(z[..., [c]], rms, coloured, tests)
+    return OneStep(by_output, _assess(z[..., columns], None, False, tests))
 
 
 def _standardised(found: Filtered) -> Float[np.ndarray, "w n c"]:
@@ -452,10 +420,8 @@ def _standardised(found: Filtered) -> Float[np.ndarray, "w n c"]:
     return np.where(np.asarray(found.used), z, np.nan)
 
 
-def _assess(
-    z: Float[np.ndarray, "w n c"], u: Float[np.ndarray, "w n c"], rms: float | None, coloured: bool, tests: int
-) -> Predicted:
-    used = np.isfinite(z)
+def _assess(z: Float[np.ndarray, "w n c"], rms: float | None, coloured: bool, tests: int) -> Predicted:
+    used, u = np.isfinite(z), norm.cdf(z)
     n, squares = int(used.sum()), np.where(used, np.square(z), 0.0)
     mean = squares.sum() / n
     centred = np.where(used, squares - mean, 0.0)
@@ -477,16 +443,13 @@ def _assess(
         shares.append(Share(level, share, float(np.sqrt(inflation * spread / n)), p))
         independent = min(independent, alone)
     differences = [s.share - s.level for s in shares if s.p < SIGNIFICANCE / tests]
-    if coloured and not differences:
-        calibration = Calibration.COLOURED
-    elif independent < MIN_INDEPENDENT:
-        calibration = Calibration.UNDECIDED
-    elif not differences:
-        calibration = Calibration.CALIBRATED
-    elif max(differences) < 0.0:
-        calibration = Calibration.TOO_NARROW
-    else:
-        calibration = Calibration.TOO_WIDE if min(differences) > 0.0 else Calibration.NOT_NORMAL
+    calibration = (
+        Calibration.COLOURED if coloured and not differences
+        else Calibration.UNDECIDED if independent < MIN_INDEPENDENT
+        else Calibration.CALIBRATED if not differences
+        else Calibration.TOO_NARROW if max(differences) < 0.0
+        else Calibration.TOO_WIDE if min(differences) > 0.0 else Calibration.NOT_NORMAL
+    )  # fmt: skip
     # Quantiles: order statistics of as many uniform values as there are independent innovations (Bonferroni).
     scores, rows = NORMAL_SCORES[n * norm.sf(np.abs(NORMAL_SCORES)) >= MIN_BEYOND], []
     tail, probabilities = 0.5 * SIGNIFICANCE / max(len(scores), 1), norm.cdf(scores)
@@ -544,17 +507,14 @@ def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str
     )
 
 
-def stall_of_posterior(model: Model, posterior: Posterior, signals: Mapping[str, Any], aircraft: Aircraft) -> Stall:
-    """`stall_of` the draws of a posterior, without its noise parameters."""
-    return stall_of(model, posterior.draws()[:, [posterior.names.index(n) for n in model.names]], signals, aircraft)
-
-
 def stall_of_run(run: Identification) -> Stall | None:
     """CLmax and its angle from the first posterior that converged; without one there is none."""
     for key, posterior in run.posteriors.items():
         if key != "white" and posterior.status is PosteriorStatus.CONVERGED:
-            o = run.observations
-            return stall_of_posterior(run.model, posterior, o.signals, o.aircraft)
+            of_model = [posterior.names.index(n) for n in run.model.names]
+            return stall_of(
+                run.model, posterior.draws()[:, of_model], run.observations.signals, run.observations.aircraft
+            )
     return None
 
 

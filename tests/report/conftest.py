@@ -24,7 +24,7 @@ from bayes_aero.inference.results import (
     Validation,
     score,
 )
-from bayes_aero.inference.validation import make_splits, pit_of, stall_of_posterior
+from bayes_aero.inference.validation import make_splits, pit_of, stall_of
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
@@ -185,7 +185,8 @@ def build(
         for key in engines
     }
     mle, first = fit(model, corrected=corrected, lag1=lag1, status=status), next(iter(posteriors.values()), None)
-    stall = None if first is None else stall_of_posterior(model, first, o.signals, o.aircraft)
+    columns = [] if first is None else [first.names.index(n) for n in model.names]
+    stall = None if first is None else stall_of(model, first.draws()[:, columns], o.signals, o.aircraft)
     errors = gp_errors or dict.fromkeys(("random", "block", "manoeuvre"), 0.001)
     run = Identification(
         card=read_card("attas"), model=model, records=records_of(o), observations=o, noise=noise, mle=mle, alone=alone,
