@@ -32,10 +32,9 @@ from bayes_aero.dynamics.innovations import neighbour_correlation, prediction_er
 from bayes_aero.dynamics.kalman import smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.inference.covariance import corrected_covariance, median_inflation, variance_inflation
+from bayes_aero.inference.covariance import corrected_covariance, means, median_inflation, variance_inflation
 from bayes_aero.inference.optimise import solve
 from bayes_aero.inference.output_error import (
-    THINNING,
     NormalEquations,
     OutputErrorResult,
     Point,
@@ -454,7 +453,7 @@ class HeldOutFlights:
         """Residuals linear in the parameters where all segments are fitted; parameters at a bound stay there."""
         fit, (fitted, measured) = self.contender.fit, self.equations_at_optimum
         A, g, _ = segment_equations(fitted, fit.priors)
-        columns = np.concatenate(measured.products.columns)
+        columns = measured.columns
         left = []
         for k, inside in enumerate(fit.flown.inside):
             others = np.arange(len(A)) != k
@@ -480,11 +479,14 @@ class HeldOutFlights:
 
 # --- Variance inflation of a fit to trajectories.
 
+THINNING = 5  # samples averaged for the autocorrelation of the residuals
+
 
 def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
     """Median variance inflation of the parameters, from Morelli and Klein's covariance of thinned means."""
     flown, k = fit.flown, len(fit.estimate)
-    residual, S = fit.thinned_columns[..., 0], fit.thinned_columns[..., 1:]
+    columns = means(fit.columns, THINNING)
+    residual, S = columns[..., 0], columns[..., 1:]
     if fit.priors.fixed:
         S = S[..., :k]
     m = S.shape[1]

@@ -13,16 +13,21 @@ from scipy.optimize import nnls
 
 from bayes_aero.arrays import AnyArray
 
+Square = Float[np.ndarray, "k k"]
+Outputs = Float[np.ndarray, " c"]
+Residual = Float[np.ndarray, "n c"]
+Sensitivity = Float[np.ndarray, "n c k"]
+
 BLOCK = 0.2  # s; smoothed residuals vary no faster
 MIN_INNOVATIONS = 10  # for each coefficient of an autoregression; with fewer, blocks count as independent
 MIN_RESIDUAL_SHARE = 0.05  # least share 1 - h of an innovation that the fit leaves, with the leverage h of its block
 
 
 def robust_covariance(
-    D: Float[np.ndarray, "k k"],
-    S: Float[np.ndarray, "n c k"],
-    R: Float[np.ndarray, " c"],
-    residual: Float[np.ndarray, "n c"],
+    D: Square,
+    S: Sensitivity,
+    R: Outputs,
+    residual: Residual,
     manoeuvre: Int[np.ndarray, " n"],
     start: Bool[np.ndarray, " n"],
     dt: float,
@@ -99,10 +104,10 @@ def autocovariance(residual: Float[np.ndarray, "n c"], lags: int) -> Float[np.nd
 
 
 def corrected_covariance(
-    D: Float[np.ndarray, "k k"],
-    S: Float[np.ndarray, "n c k"],
-    R: Float[np.ndarray, " c"],
-    residual: Float[np.ndarray, "n c"],
+    D: Square,
+    S: Sensitivity,
+    R: Outputs,
+    residual: Residual,
     manoeuvre: Int[np.ndarray, " n"],
     start: Bool[np.ndarray, " n"],
 ) -> Float[np.ndarray, "k k"]:

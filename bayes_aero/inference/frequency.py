@@ -28,7 +28,7 @@ from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import BLOCK, robust_covariance
 from bayes_aero.inference.mle import noise_bias, scaled_inverse
-from bayes_aero.inference.optimise import Evaluation, Rule, Vector, minimise, truncated_step
+from bayes_aero.inference.optimise import Evaluation, Problem, Rule, Vector, minimise, truncated_step
 from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, MleResult
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
@@ -63,18 +63,18 @@ class BandStep(NamedTuple):
         return 0.5 * len(self.left) * float(np.sum(np.log(self.R)))
 
 
-class _Lines:
-    """Minus the log likelihood of the lines of a band as a `Problem`, variances and offsets at their optimum."""
+class _Lines(Problem):
+    """Minus the log likelihood of the lines of a band, variances and offsets at their optimum."""
 
     def __init__(self, responses: InBand, parameters: Sequence[Parameter], theta: Vector) -> None:
         residual, S = responses.linearise(theta)
         size = 1.0 / np.maximum(np.mean(np.square(residual), axis=0), EXACT)
         information = np.einsum("mck,mck,c->k", S, S, size)
-        self.moving = information * np.square([p.prior.normal[1] for p in parameters]) > UNSEEN
-        self.bounds = np.array([p.bounds for p in parameters], float).reshape(-1, 2)
-        self.step_limit, self.free, self.responses = np.full(len(theta), np.inf), self.moving.copy(), responses
+        shown = information * np.square([p.prior.normal[1] for p in parameters]) > UNSEEN
+        super().__init__(np.array([p.bounds for p in parameters], float).reshape(-1, 2), shown)
+        self.free, self.responses, self.moved, self.point = shown.copy(), responses, responses, theta
         offsets = responses.offsets(theta, responses.outputs)
-        self.moved, self.tried = responses, (residual, S[:, :, self.free], offsets, solve(residual, offsets).cost)
+        self.tried = residual, S[:, :, self.free], offsets, solve(residual, offsets).cost
 
     def cost(self, point: Vector) -> float:
         """At the best offsets for the step that leads there; those of the states change the sensitivities."""
@@ -119,8 +119,8 @@ def fit_in_band(
 ) -> FrequencyFit:
     """Estimate the free parameters from residuals in a band (Hz), by a model of `residuals.frequency_error`."""
     # Parameters that the band does not show, such as constants, keep their start, SI, of a fit in the time domain.
-    lines = _Lines(responses, parameters, np.asarray(start, float))
-    theta, _, converged, _ = minimise(lines, np.array(start, float), lines.evaluate, TOLERANCE, RULE)
+    lines = _Lines(responses, parameters, np.array(start, float))
+    theta, _, converged, _ = minimise(lines, lines.point, TOLERANCE, RULE)
     free, solution, responses, outputs = np.flatnonzero(lines.free), lines.solution, lines.responses, responses.outputs
     S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, outputs)], axis=2)
     m, k = len(S), len(free)

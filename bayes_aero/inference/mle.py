@@ -23,6 +23,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import robust_covariance
 from bayes_aero.inference.optimise import (
     Evaluation,
+    Problem,
     Rule,
     Square,
     Vector,
@@ -65,38 +66,33 @@ class Descent:
     def theta(self) -> Vector:
         return self.point.theta
 
-    @property
-    def cost(self) -> float:
-        regular = np.isfinite(self.point.cost) and np.all(np.isfinite(self.point.information))
-        return self.point.cost if regular else np.inf
-
     def outcome(self, data: Data) -> str:
         """Degenerate where the separation point does not vary in the fit, or its break angle is at a bound."""
         breaks = [p.role is Role.BREAK_ANGLE for p in data.model.free]
-        degenerate = not np.isfinite(self.cost)
+        degenerate = not np.isfinite(self.point.cost)
         if any(breaks) and not degenerate:
             X = np.asarray(evaluate(data, jnp.asarray(self.theta))[2])
             degenerate = bool(np.any(self.active & breaks) or np.ptp(X) < MIN_X_RANGE)
         return "degenerate" if degenerate else "converged" if self.converged else "not converged"
 
 
-class _Coefficients:
-    """The cost of a model's coefficients as a `Problem`, from the end of full steps; the last point is kept."""
+class _Coefficients(Problem):
+    """The cost of a model's coefficients, from the end of full steps; the last point is kept."""
 
     def __init__(self, data: Data, start: Vector) -> None:
-        self.data, self.bounds = data, np.array([p.bounds for p in data.model.free], float).reshape(-1, 2)
-        self.moving, self.step_limit = np.ones(len(start), bool), np.full(len(start), np.inf)
+        super().__init__(np.array([p.bounds for p in data.model.free], float).reshape(-1, 2))
+        self.data = data
         self.point = self.tried = self._steps(np.clip(start, *self.bounds.T), MAX_ITERATIONS)
 
     def _steps(self, theta: Vector, most: int) -> GaussNewtonPoint:
-        return full_steps(self.data, theta, self.bounds[:, 0], self.bounds[:, 1], TOLERANCE, most)
+        return full_steps(self.data, theta, *self.bounds.T, TOLERANCE, most)
 
     def cost(self, point: Vector) -> float:
         self.tried = self.point if point is self.point.theta else self._steps(point, 0)
         return self.tried.cost
 
-    def evaluate(self, point: Vector) -> Evaluation:
-        self.point = self.point if point is self.point.theta else self.tried
+    def evaluate(self, point: Vector) -> Evaluation:  # noqa: ARG002 - it is the one tried last
+        self.point = self.tried
         return Evaluation(self.point.cost, -self.point.gradient, self.point.information)
 
 
@@ -109,8 +105,10 @@ def descend(model: Model, observations: Observations, start: Vector) -> Descent:
     # Full steps run compiled as long as they lower the cost and stay inside the bounds; the remaining steps run here.
     problem = _Coefficients(data_of(model, observations), start)
     first = problem.point
-    theta, at, converged, steps = minimise(problem, first.theta, problem.evaluate, TOLERANCE, RULE, steps=first.steps)
-    return Descent(problem.point._replace(steps=steps), converged, at_bounds(problem, theta, at.gradient))
+    theta, at, converged, steps = minimise(problem, first.theta, TOLERANCE, RULE, steps=first.steps)
+    regular = np.all(np.isfinite(problem.point.information))
+    end = problem.point._replace(steps=steps, cost=problem.point.cost if regular else np.inf)
+    return Descent(end, converged, at_bounds(problem, theta, at.gradient))
 
 
 def fit_mle(
@@ -132,8 +130,8 @@ def fit_mle(
     runs = [(run, run.outcome(data)) for run in (descend(model, observations, s) for s in starts)]
     regular = [run for run, outcome in runs if outcome != "degenerate"]
     usable = [run for run, outcome in runs if outcome == "converged"] or regular or [run for run, _ in runs]
-    table = tuple((run.cost, outcome) for run, outcome in runs)
-    return _result(data, observations, min(usable, key=lambda run: run.cost), bool(regular), table)
+    table = tuple((run.point.cost, outcome) for run, outcome in runs)
+    return _result(data, observations, min(usable, key=lambda run: run.point.cost), bool(regular), table)
 
 
 def scaled_inverse(A: Square) -> tuple[Square, Vector]:

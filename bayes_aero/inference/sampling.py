@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import cache, partial
+from functools import cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpyro.infer.hmc import HMCState, hmc
-from numpyro.infer.hmc_util import dual_averaging
 from scipy import optimize
 
 from bayes_aero.inference.results import Marginal, MleResult, Posterior, PosteriorStatus
@@ -214,35 +213,21 @@ def _log_density(density: LogDensity, u: Float[Array, " k"], factor: Float[Array
     return jax.vmap(lambda row: density(u + factor @ row))(v)
 
 
-class _IndependenceProposal:
-    """Metropolis-Hastings proposal from one multivariate Student t, the same for every walker."""
+def _independence_move(centre: np.ndarray, factor: np.ndarray) -> emcee.moves.MHMove:
+    """Metropolis-Hastings moves proposed from one multivariate Student t, the same for every walker."""
+    inverse = np.linalg.inv(factor)
 
-    def __init__(self, centre: np.ndarray, factor: np.ndarray) -> None:
-        self.centre, self.factor, self.inverse = centre, factor, np.linalg.inv(factor)
-
-    def _log_density(self, v: np.ndarray) -> np.ndarray:
-        squared = np.sum(((v - self.centre) @ self.inverse.T) ** 2, axis=1)
+    def log_density(v: np.ndarray) -> np.ndarray:
+        squared = np.sum(((v - centre) @ inverse.T) ** 2, axis=1)
         return -0.5 * (DEGREES_OF_FREEDOM + v.shape[1]) * np.log1p(squared / DEGREES_OF_FREEDOM)
 
-    def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+    def propose(coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         normal = random.standard_normal(coords.shape)
         spread = np.sqrt(DEGREES_OF_FREEDOM / random.chisquare(DEGREES_OF_FREEDOM, size=(len(coords), 1)))
-        proposed = self.centre + (normal * spread) @ self.factor.T
-        return proposed, self._log_density(coords) - self._log_density(proposed)
+        proposed = centre + (normal * spread) @ factor.T
+        return proposed, log_density(coords) - log_density(proposed)
 
-
-class _Target:
-    """The density as emcee calls it; non-finite values are counted, not hidden."""
-
-    def __init__(self, density: LogDensity, mode: PosteriorMode) -> None:
-        self.density, self.rejected = density, 0
-        self.frame = jnp.asarray(mode.u), jnp.asarray(mode.factor)
-
-    def __call__(self, v: np.ndarray) -> np.ndarray:
-        value = np.asarray(_log_density(self.density, *self.frame, jnp.asarray(v)))
-        bad = ~np.isfinite(value)
-        self.rejected += int(bad.sum())
-        return np.where(bad, -np.inf, value)
+    return emcee.moves.MHMove(propose)
 
 
 class EnsembleLength(NamedTuple):
@@ -253,14 +238,6 @@ class EnsembleLength(NamedTuple):
     walkers: int | None = None
 
 
-def _sampler(target: _Target, walkers: int, proposal: _IndependenceProposal, seed: int) -> emcee.EnsembleSampler:
-    moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
-    sampler = emcee.EnsembleSampler(walkers, target.density.size, target, moves=moves, vectorize=True)
-    random = np.random.RandomState(seed % 2**32)  # emcee takes this generator only
-    sampler.random_state = random.get_state()
-    return sampler
-
-
 def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:
     """Advance every ensemble by `steps`, one thread a core; the density runs outside Python's lock."""
     starts = [None] * len(samplers) if begin is None else list(begin)
@@ -268,45 +245,39 @@ def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarra
         list(pool.map(lambda sampler, start: sampler.run_mcmc(start, steps), samplers, starts))
 
 
-class _Ensembles:
+def _burnt_in(
+    density: LogDensity, mode: PosteriorMode, seed: int, length: EnsembleLength
+) -> list[emcee.EnsembleSampler]:
     """Independent ensembles after their burn-in and their first steps."""
+    size, walkers = density.size, length.walkers or 2 * (density.size + 2)
+    frame = jnp.asarray(mode.u), jnp.asarray(mode.factor)
 
-    def __init__(self, density: LogDensity, mode: PosteriorMode, seed: int, length: EnsembleLength) -> None:
-        self.target, self.walkers, size = _Target(density, mode), length.walkers or 2 * (density.size + 2), density.size
-        begin = np.random.default_rng(seed).standard_normal((length.ensembles, self.walkers, size)) * 0.5
-        proposal, before = _IndependenceProposal(np.zeros(size), np.eye(size)), 0.0
-        seeds = [1000 * seed + 10 * i for i in range(length.ensembles)]
-        for number in range(ROUNDS):  # a skewed posterior takes several to fit the proposal to the draws
-            self.samplers = [_sampler(self.target, self.walkers, proposal, s + number) for s in seeds]
-            _advance(self.samplers, BURN_IN, begin)
-            begin = np.stack([np.asarray(s.get_chain())[-1] for s in self.samplers])
-            found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in self.samplers])
-            accepted = float(np.mean([s.acceptance_fraction for s in self.samplers]))
-            proposal = _IndependenceProposal(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
-            if accepted < MIN_ACCEPTANCE_GAIN * before:
-                break
-            before = accepted
-        self.samplers = [_sampler(self.target, self.walkers, proposal, s + ROUNDS) for s in seeds]
-        _advance(self.samplers, STEPS_PER_CALL, begin)
+    def target(v: np.ndarray) -> np.ndarray:
+        value = np.asarray(_log_density(density, *frame, jnp.asarray(v)))
+        return np.where(np.isfinite(value), value, -np.inf)
 
-    @property
-    def autocorrelation_time(self) -> float:
-        """Of the slowest parameter in steps; infinite where it is not defined, as when a walker has never moved."""
-        chain = np.concatenate([np.asarray(s.get_chain()) for s in self.samplers], axis=1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            slowest = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
-        return slowest if np.isfinite(slowest) else np.inf
+    def sampler(centre: np.ndarray, factor: np.ndarray, own_seed: int) -> emcee.EnsembleSampler:
+        moves = [(_independence_move(centre, factor), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
+        made = emcee.EnsembleSampler(walkers, size, target, moves=moves, vectorize=True)
+        made.random_state = np.random.RandomState(own_seed % 2**32).get_state()  # emcee takes this generator only
+        return made
 
-    def draws(self, thin: int) -> tuple[Float[np.ndarray, "chain draw k"], dict[str, np.ndarray]]:
-        """One chain an ensemble, walkers end to end, so that R-hat compares ensembles; log-density and walker."""
-        chains = np.stack([np.asarray(s.get_chain(thin=thin)) for s in self.samplers])  # ensemble draw walker k
-        lp = np.stack([np.asarray(s.get_log_prob(thin=thin)).T for s in self.samplers])
-        ensembles, walkers, draws = lp.shape
-        stats = {
-            "lp": lp.reshape(ensembles, -1),
-            "walker": np.tile(np.repeat(np.arange(walkers), draws), (ensembles, 1)),
-        }
-        return np.swapaxes(chains, 1, 2).reshape(ensembles, -1, chains.shape[3]), stats
+    begin = np.random.default_rng(seed).standard_normal((length.ensembles, walkers, size)) * 0.5
+    proposal, before = (np.zeros(size), np.eye(size)), 0.0
+    seeds = [1000 * seed + 10 * i for i in range(length.ensembles)]
+    for number in range(ROUNDS):  # a skewed posterior takes several to fit the proposal to the draws
+        samplers = [sampler(*proposal, own_seed + number) for own_seed in seeds]
+        _advance(samplers, BURN_IN, begin)
+        begin = np.stack([np.asarray(s.get_chain())[-1] for s in samplers])
+        drawn = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in samplers])
+        accepted = float(np.mean([s.acceptance_fraction for s in samplers]))
+        proposal = drawn.mean(axis=0), np.linalg.cholesky(np.cov(drawn.T))
+        if accepted < MIN_ACCEPTANCE_GAIN * before:
+            break
+        before = accepted
+    samplers = [sampler(*proposal, own_seed + ROUNDS) for own_seed in seeds]
+    _advance(samplers, STEPS_PER_CALL, begin)
+    return samplers
 
 
 def sample_ensemble(
@@ -320,29 +291,29 @@ def sample_ensemble(
 ) -> Posterior:
     """Sample until ESS and R-hat reach their targets and the run spans many autocorrelation times."""
     began = time.perf_counter()
-    ensembles = _Ensembles(density, mode, seed, length)
+    samplers = _burnt_in(density, mode, seed, length)
     while True:
-        tau, steps = ensembles.autocorrelation_time, ensembles.samplers[0].iteration
+        steps, chain = samplers[0].iteration, np.concatenate([np.asarray(s.get_chain()) for s in samplers], axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):  # of the slowest parameter, in steps
+            tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
+        tau = tau if np.isfinite(tau) else np.inf  # as when a walker has never moved
         if progress:
             progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
         if steps >= AUTOCORRELATION_TIMES * tau or steps >= length.max_steps:
             thin = max(1, int(tau / 2)) if np.isfinite(tau) else 1  # draws closer than that are nearly equal
-            v, stats = ensembles.draws(thin)
-            x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v))))
+            # One chain an ensemble, walkers end to end, so that R-hat compares ensembles.
+            v = np.stack([np.swapaxes(np.asarray(s.get_chain(thin=thin)), 0, 1) for s in samplers])
+            x = mode.unwhiten(v.reshape(len(samplers), -1, density.size))
+            x = np.asarray(constrain_draws(density, jnp.asarray(x)))
             marginals = diagnose(x, density.names)
             if converged(marginals) or steps >= length.max_steps:
                 break
-        _advance(ensembles.samplers, STEPS_PER_CALL)
-    drawn = Drawn("emcee", x, stats, marginals)
+        _advance(samplers, STEPS_PER_CALL)
+    log_densities = np.stack([np.asarray(s.get_log_prob(thin=thin)).T.ravel() for s in samplers])
+    drawn = Drawn("emcee", x, {"lp": log_densities}, marginals)
     posterior = assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
-    posterior.tree.attrs |= {
-        "steps": steps,
-        "thinned_by": thin,
-        "autocorrelation_time": tau,
-        "acceptance": float(np.mean([s.acceptance_fraction.mean() for s in ensembles.samplers])),
-        "non_finite_densities": ensembles.target.rejected,
-        "walkers": ensembles.walkers,
-    }
+    acceptance = float(np.mean([s.acceptance_fraction.mean() for s in samplers]))
+    posterior.tree.attrs |= {"steps": steps, "autocorrelation_time": tau, "acceptance": acceptance}
     return posterior
 
 
@@ -438,82 +409,48 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
 CALL_DRAWS = 100  # draws of one compiled call; warm-up and blocks are rounded up to a multiple
 BLOCK_DRAWS = 300  # draws per chain between two checks of the diagnostics
 DIVERGENT_SHARE = 0.005
-FIRST_STEP = 0.5  # on the scale of the curvature at the mode, where no metric is adapted
 FIELDS = ("diverging", "num_steps", "accept_prob", "potential_energy")
-
-
-class WarmUp(NamedTuple):
-    """Steps; acceptance to which the step size is adapted; whether a dense metric is adapted, too."""
-
-    # A metric of few steps is worse than the curvature at the mode, on whose scale the chains begin: the covariance of
-    # 75 draws of 26 independent normal coordinates has deviations of 0.4 to 1.6. Without a metric the step size is
-    # adapted here, because NumPyro takes it from the last tenth of a short warm-up, which it begins with ten times the
-    # step.
-    steps: int = 500
-    acceptance: float = 0.95
-    metric: bool = True
-
-
-class Chain(NamedTuple):
-    """State of NumPyro's kernel, and of the dual averaging of the step size (of Hoffman and Gelman 2014)."""
-
-    kernel: HMCState
-    averaged: tuple[Any, ...]
-
-    def with_step(self, size: Array) -> Chain:
-        return self._replace(kernel=self.kernel._replace(adapt_state=self.kernel.adapt_state._replace(step_size=size)))
-
-
-@cache
-def _kernel(warmup: WarmUp):
-    """NumPyro's functional NUTS, with the data as arguments: MCMC would compile again for every data set and chain."""
-    # One for each warm-up, which the kernel stores when it starts.
-    del warmup
-    potential = lambda density, centre, factor: lambda v: -density(centre + factor @ v)  # noqa: E731
-    return hmc(potential_fn_gen=potential, algo="NUTS")
-
-
 Target = tuple[LogDensity, Array, Array]
 """A density, with the centre and the factor of its whitened coordinates."""
 
 
-@eqx.filter_jit
-def _start_chain(target: Target, warmup: WarmUp, key: Array, v: Float[Array, " k"]) -> Chain:
-    begin, _ = _kernel(warmup)
-    key, _ = jax.random.split(key)  # as numpyro's NUTS does: the same draws
-    setting: Any = {"target_accept_prob": warmup.acceptance, "model_args": target, "rng_key": key}
-    if warmup.metric:
-        setting |= {"dense_mass": True}
-    else:
-        setting |= {"adapt_step_size": False, "adapt_mass_matrix": False, "step_size": FIRST_STEP}
-    first: Any = dual_averaging()[0]
-    return Chain(begin(v, warmup.steps, **setting), first(jnp.log(FIRST_STEP)))
-
-
-@eqx.filter_jit
-def _draw_steps(
-    target: Target, warmup: WarmUp, adapting: Array, chain: Chain
-) -> tuple[Chain, tuple[Array, dict[str, Array]]]:
-    _, sample = _kernel(warmup)
-    _, update = dual_averaging()
-
-    def step(chain: Chain, _: None):
-        state = sample(chain.kernel, target)  # adapts a metric for as long as state.i is below the steps of `warmup`
-        drawn = state.z, {name: getattr(state, name) for name in FIELDS}
-        if warmup.metric:
-            return chain._replace(kernel=state), drawn
-        chain = Chain(state, update(warmup.acceptance - state.accept_prob, chain.averaged))
-        return chain.with_step(jnp.where(adapting, jnp.exp(chain.averaged[0]), state.adapt_state.step_size)), drawn
-
-    return jax.lax.scan(step, chain, None, length=CALL_DRAWS)
-
-
 class NutsLength(NamedTuple):
-    """Chains, their warm-up, and the most blocks of draws that follow it."""
+    """Chains, steps of their warm-up, the most blocks of draws that follow it; the acceptance to which the step size is
+    adapted, and whether a dense metric is adapted, too."""
 
+    # A metric of few steps is worse than the curvature at the mode, on whose scale the chains begin: the covariance of
+    # 75 draws of 26 independent normal coordinates has deviations of 0.4 to 1.6.
     chains: int = 4
-    warmup: WarmUp = WarmUp()
+    warmup: int = 500
     max_blocks: int = 8
+    acceptance: float = 0.95
+    metric: bool = True
+
+
+@cache
+def _kernel(length: NutsLength):
+    """NumPyro's functional NUTS, with the data as arguments: MCMC would compile again for every data set and chain."""
+    # One for each length of the warm-up, which the kernel stores when it starts.
+    del length
+    potential = lambda density, centre, factor: lambda v: -density(centre + factor @ v)  # noqa: E731
+    return hmc(potential_fn_gen=potential, algo="NUTS")
+
+
+@eqx.filter_jit
+def _start_chain(target: Target, length: NutsLength, key: Array, v: Float[Array, " k"]) -> HMCState:
+    key, _ = jax.random.split(key)  # as numpyro's NUTS does: the same draws
+    adapted: Any = {"dense_mass": length.metric, "adapt_mass_matrix": length.metric}
+    adapted |= {"target_accept_prob": length.acceptance, "model_args": target, "rng_key": key}
+    return _kernel(length)[0](v, length.warmup, **adapted)
+
+
+@eqx.filter_jit
+def _draw_steps(target: Target, length: NutsLength, state: HMCState):
+    def step(state: HMCState, _: None):
+        state = _kernel(length)[1](state, target)  # adapts for as long as state.i is below the warm-up
+        return state, (state.z, {name: getattr(state, name) for name in FIELDS})
+
+    return jax.lax.scan(step, state, None, length=CALL_DRAWS)
 
 
 def sample_nuts(
@@ -528,12 +465,30 @@ def sample_nuts(
     """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them."""
     # Works on coordinates whitened by the curvature at the mode; starts are drawn from that Laplace approximation, each
     # chain its own, so that R-hat can see a second mode nearby. `progress(text, share)` is called after every block.
-    began = time.perf_counter()
-    chains = _Chains(density, mode, length, seed)
-    most = length.max_blocks * BLOCK_DRAWS
+    began, target = time.perf_counter(), (density, jnp.asarray(mode.u), jnp.asarray(mode.factor))
+    start_key, run_key = jax.random.split(jax.random.PRNGKey(seed))
+    starts = jax.random.normal(start_key, (length.chains, density.size))
+    keys = jax.random.split(run_key, length.chains)
+    chains = [_start_chain(target, length, key, v) for key, v in zip(keys, starts, strict=True)]
+
+    def advanced(some: list[HMCState]) -> list[Any]:
+        with ThreadPoolExecutor(max(1, min(len(some), cores()))) as pool:
+            return list(pool.map(lambda chain: jax.block_until_ready(_draw_steps(target, length, chain)), some))
+
+    for number in range(-(-length.warmup // CALL_DRAWS)):  # the first chain starts alone and compiles
+        parts = [chains] if number else [chains[:1], chains[1:]]
+        chains = [chain for part in parts for chain, _ in advanced(part)]
+    draws, fields, most = [], [], length.max_blocks * BLOCK_DRAWS
     while True:
-        chains.draw(BLOCK_DRAWS)
-        x = np.concatenate(chains.x, axis=1)
+        for _ in range(BLOCK_DRAWS // CALL_DRAWS):
+            ends = advanced(chains)
+            chains = [chain for chain, _ in ends]
+            v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
+            draws.append(np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v)))))
+            fields.append(
+                {name: np.stack([np.asarray(of_chain[name]) for _, (_, of_chain) in ends]) for name in FIELDS}
+            )
+        x = np.concatenate(draws, axis=1)
         marginals = diagnose(x, density.names)
         done = converged(marginals) or x.shape[1] >= most
         if progress:
@@ -541,44 +496,9 @@ def sample_nuts(
             progress(f"NUTS: {x.shape[1]} draws a chain, ESS {least:.0f}", 1.0 if done else x.shape[1] / most)
         if done:
             break
-    stats = {
-        name: np.concatenate([f[field] for f in chains.statistics], axis=1)
-        for name, field in zip(("diverging", "n_steps", "acceptance_rate", "lp"), FIELDS, strict=True)
-    }
+    by_field = {name: np.concatenate([part[name] for part in fields], axis=1) for name in FIELDS}
+    stats = dict(zip(("diverging", "n_steps", "acceptance_rate", "lp"), by_field.values(), strict=True))
     stats["lp"] = -stats["lp"]
     divergent = float(stats["diverging"].mean()) > DIVERGENT_SHARE
     drawn = Drawn("nuts", x, stats, marginals, divergent)
     return assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
-
-
-class _Chains:
-    """Chains after their warm-up, with draws `x` and the statistics of NUTS."""
-
-    def __init__(self, density: LogDensity, mode: PosteriorMode, length: NutsLength, seed: int) -> None:
-        self.density, self.mode, self.warmup = density, mode, length.warmup
-        self.x: list[np.ndarray] = []
-        self.statistics: list[dict[str, np.ndarray]] = []
-        self.target = density, jnp.asarray(mode.u), jnp.asarray(mode.factor)
-        start_key, run_key = jax.random.split(jax.random.PRNGKey(seed))
-        starts = jax.random.normal(start_key, (length.chains, density.size))
-        keys = jax.random.split(run_key, length.chains)
-        self.chains = [_start_chain(self.target, self.warmup, key, v) for key, v in zip(keys, starts, strict=True)]
-        for number in range(-(-self.warmup.steps // CALL_DRAWS)):  # the first chain starts alone and compiles
-            parts = [self.chains] if number else [self.chains[:1], self.chains[1:]]
-            self.chains = [chain for part in parts for chain, _ in self._advance(part, adapting=True)]
-        if not self.warmup.metric:
-            self.chains = [chain.with_step(jnp.exp(chain.averaged[1])) for chain in self.chains]
-
-    def draw(self, steps: int) -> None:
-        for _ in range(steps // CALL_DRAWS):
-            ends = self._advance(self.chains, adapting=False)
-            self.chains = [chain for chain, _ in ends]
-            v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
-            self.x.append(np.asarray(constrain_draws(self.density, jnp.asarray(self.mode.unwhiten(v)))))
-            every = [statistics for _, (_, statistics) in ends]
-            self.statistics.append({name: np.stack([np.asarray(one[name]) for one in every]) for name in FIELDS})
-
-    def _advance(self, chains: list[Chain], *, adapting: bool) -> list[tuple[Chain, tuple[Array, dict[str, Array]]]]:
-        with ThreadPoolExecutor(max(1, min(len(chains), cores()))) as pool:
-            step = partial(_draw_steps, self.target, self.warmup, jnp.asarray(adapting))
-            return list(pool.map(lambda chain: jax.block_until_ready(step(chain)), chains))

@@ -36,6 +36,7 @@ from bayes_aero.inference.optimise import (
     MAX_ITERATIONS,
     SCORING,
     Evaluation,
+    Problem,
     bfgs_update,
     bounded_step,
     minimise,
@@ -271,7 +272,7 @@ def test_the_truth_is_recovered_and_without_process_noise_the_fit_is_worse(flown
 
 def test_the_gradient_is_that_of_finite_differences(flown):
     point = np.array([*(0.9 * TRUTH[n] for n in flown.dynamics.names), *np.log(F), *np.log(R)])
-    problem = prediction_error._Problem.of(flown.nameless, F > 0.0, True)
+    problem = prediction_error._Innovations(flown.nameless, F > 0.0, True)
     gradient = problem.evaluate(point).gradient
     for i, g in enumerate(gradient):
         h = 1e-5 * max(1.0, abs(point[i])) * (np.arange(len(point)) == i)
@@ -290,12 +291,12 @@ def test_the_noise_of_a_smoothed_channel_is_no_less_than_that_of_its_last_digit(
     assert np.all(found.R[1:] > 0.1 * R[1:])
 
 
-class Quadratic:
+class Quadratic(Problem):
     """A quadratic cost, and an information that is not its curvature."""
 
     def __init__(self, curvature, information):
-        self.curvature, self.information, self.moving = curvature, information, np.full(6, True)
-        self.bounds, self.step_limit = np.tile([-np.inf, np.inf], (6, 1)), np.full(6, np.inf)
+        super().__init__(np.tile([-np.inf, np.inf], (6, 1)))
+        self.curvature, self.information = curvature, information
 
     def cost(self, point):
         return 0.5 * float(point @ self.curvature @ point)
@@ -310,7 +311,7 @@ def test_steps_that_go_too_far_are_shortened(times):
     factor = np.random.default_rng(5).standard_normal((6, 6))
     information = factor @ factor.T + np.eye(6)
     problem = Quadratic(times * information, information)
-    _, here, converged, steps = minimise(problem, np.full(6, 30.0), problem.evaluate, 1e-3)
+    _, here, converged, steps = minimise(problem, np.full(6, 30.0), 1e-3)
     assert converged
     assert steps < MAX_ITERATIONS / 2
     assert here.cost < 0.01
@@ -343,7 +344,7 @@ def test_gradients_mend_an_information_that_is_not_the_curvature():
     """Off by factors of .2 to 5; steps by the information alone crawl along the flat direction."""
     bowl = Quadratic(np.diag([5.0, 0.05, 0.2, 3.0, 1.0, 1.0]), np.eye(6))
     rules = (SCORING, APPROXIMATE_SCORING)
-    ended = [minimise(bowl, np.full(6, 10.0), bowl.evaluate, 1e-6, rule) for rule in rules]
+    ended = [minimise(bowl, np.full(6, 10.0), 1e-6, rule) for rule in rules]
     assert ended[0][1].cost < 1e-5
     assert 2 * ended[0][3] < ended[1][3]
 

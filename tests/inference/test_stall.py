@@ -22,7 +22,6 @@ from bayes_aero.inference.sampling import (
     EnsembleLength,
     ModeStatus,
     NutsLength,
-    WarmUp,
     density_start,
     find_mode,
     other_modes,
@@ -254,7 +253,7 @@ def linear(thinned):
 
 
 MANY = partial(sample_ensemble, length=EnsembleLength(ensembles=2, walkers=256))
-STEP_ALONE = partial(sample_nuts, length=NutsLength(4, WarmUp(100, acceptance=0.8, metric=False)))
+STEP_ALONE = partial(sample_nuts, length=NutsLength(4, 200, acceptance=0.8, metric=False))
 
 
 @pytest.mark.parametrize(
