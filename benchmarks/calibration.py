@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 from studies import parser_of, rows_of, run_seeds
 
 from bayes_aero.flight.card import read_card
-from bayes_aero.inference.gp import Budget, SampleStatus, Settings, hyper_names, sample_posterior, systematic_resample
+from bayes_aero.inference.gp import Budget, hyper_names, sample_posterior, systematic_resample
 from bayes_aero.inference.gp_kernel import Priors, ReducedData, find_map
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import Posterior
@@ -114,9 +114,9 @@ def stall_replicate(model: Model, observations: Observations, engine: str, seed:
 
 
 def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], seed: int) -> Replicate:
-    """Hyperparameters drawn from their priors, a sample function with noise, sampled through the stand-in.
+    """Hyperparameters drawn from their priors, a sample function with noise, sampled by exact weights.
 
-    `inputs` in deviations. Draws are those that exact weights resample; where they were refused, the stand-in's.
+    `inputs` in deviations. Draws are those that exact weights resample.
     """
     rng, priors = np.random.default_rng([seed, 6]), Priors()
     d = inputs.shape[1]
@@ -124,13 +124,8 @@ def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], 
     y = np.linalg.cholesky(covariance(theta, inputs)) @ rng.standard_normal(len(inputs))
     data = ReducedData.of(inputs, y)
     best = find_map(data, priors, starts=4, polish=1, seed=seed)[0]
-    budget = Budget(exact=400, nuts=Settings(300, 500, 4), seed=seed)
-    found = sample_posterior(best, data, priors, budget=budget)
-    flat = found.chains.theta.reshape(-1, theta.size)
-    if found.weighted is not None and found.status is SampleStatus.accepted:
-        drawn = found.weighted.theta.reshape(-1, theta.size)
-        flat = drawn[systematic_resample(found.weighted.log_weight, seed)]
-    own = rank(theta, rng.permutation(flat))
+    found = sample_posterior(best, data, priors, budget=Budget(draws=400, seed=seed))
+    own = rank(theta, rng.permutation(found.theta[systematic_resample(found.log_weight, seed)]))
     return Replicate(seed, dict(zip(hyper_names(names), map(int, own), strict=True)), found.status.name)
 
 

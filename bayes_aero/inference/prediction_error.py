@@ -32,7 +32,7 @@ from bayes_aero.dynamics.kalman import Filtered, NoisePoint, innovations_density
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health import quantum
 from bayes_aero.inference.covariance import covariance_of
-from bayes_aero.inference.optimise import APPROXIMATE_SCORING, Evaluation, Problem, Square, Vector, minimise
+from bayes_aero.inference.optimise import APPROXIMATE_SCORING, Evaluation, Problem, Vector, minimise
 from bayes_aero.inference.output_error import initial_state_sd
 from bayes_aero.inference.results import Posterior
 from bayes_aero.inference.sampling import (
@@ -73,7 +73,7 @@ class PredictionErrorResult:
     estimate: Vector
     F: Float[np.ndarray, " s"]
     R: Float[np.ndarray, " c"]
-    covariance: Square
+    covariance: Float[np.ndarray, "j j"]
     log_likelihood: float
     cost: float
     found: Filtered

@@ -485,9 +485,8 @@ def sample_nuts(
             chains = [chain for chain, _ in ends]
             v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
             draws.append(np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v)))))
-            fields.append(
-                {name: np.stack([np.asarray(of_chain[name]) for _, (_, of_chain) in ends]) for name in FIELDS}
-            )
+            ends = [of_chain for _, (_, of_chain) in ends]
+            fields.append({name: np.stack([np.asarray(of_chain[name]) for of_chain in ends]) for name in FIELDS})
         x = np.concatenate(draws, axis=1)
         marginals = diagnose(x, density.names)
         done = converged(marginals) or x.shape[1] >= most
