@@ -36,11 +36,11 @@ from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency import coefficients_in_band
+from bayes_aero.inference.gp import SplitKind, Training, validate
 from bayes_aero.inference.mle import fit_each_manoeuvre, fit_mle, without_noise_bias
 from bayes_aero.inference.pooled import check_manoeuvres
 from bayes_aero.inference.results import Identification, MleResult, Posterior
-from bayes_aero.inference.sampling import density_start, other_modes, sample_ensemble, sample_nuts, search_modes
-from bayes_aero.inference.validation import SplitKind, Training, pit_of, validate
+from bayes_aero.inference.sampling import density_start, other_modes, pit_of, sample_ensemble, sample_nuts, search_modes
 from bayes_aero.jobs.check import RecordChecks, record_checks, repaired
 from bayes_aero.jobs.identify import pooled_manoeuvres
 from bayes_aero.jobs.options import FormingName, NoiseName

@@ -15,11 +15,10 @@ import numpy as np
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
-from bayes_aero.inference.gp import gaussian_parts
+from bayes_aero.inference.gp import gaussian_parts, gp_inputs, make_splits
 from bayes_aero.inference.gp_kernel import Priors, ReducedData, Scaling, curvature, find_map, maximise
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import score
-from bayes_aero.inference.validation import gp_inputs, make_splits
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.aircraft import NAMES

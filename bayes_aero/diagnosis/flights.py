@@ -48,10 +48,10 @@ from bayes_aero.inference.prediction_error import (
     PredictionErrorResult,
     PredictionErrorStatus,
     fit_disturbed,
+    one_step,
     sample_innovations,
 )
 from bayes_aero.inference.results import OutputErrorStatus, Posterior
-from bayes_aero.inference.validation import one_step
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import departure

@@ -39,8 +39,8 @@ from bayes_aero.diagnosis.selection import Extension, explained
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, moved, refitted
 from bayes_aero.inference.covariance import standard_error_of_sum
 from bayes_aero.inference.frequency import MIN_SHARE, cramer_rao, fit_in_band, without_noise_bias_in_band
+from bayes_aero.inference.mle import stall_of
 from bayes_aero.inference.results import FrequencyFit, score
-from bayes_aero.inference.validation import stall_of
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import LATERAL, NAMES

@@ -6,7 +6,7 @@ covariance R re-estimated in every iteration, so the cost is det R and the infor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.dynamics.trim import conditions, steady_flow
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import noise_of
 from bayes_aero.flight.record import FlightRecord
@@ -36,9 +37,13 @@ from bayes_aero.inference.results import (
     CONFLICT_LIMIT,
     MIN_SHIFT,
     ActiveBound,
+    Identification,
+    Interval,
     MleResult,
     MleStatus,
+    PosteriorStatus,
     PriorConflict,
+    Stall,
     score,
 )
 from bayes_aero.model.model import Model
@@ -407,3 +412,98 @@ def active_bounds(
         p, lower, free = parameters[i], bool(gradient[i] < 0.0), float(estimate[i] + step[i])
         found.append(ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
     return tuple(found)
+
+
+# --- How far the published way of forming coefficients moves their parameters.
+# As published, pitch acceleration and the other measured signals are smoothed, and the controls that the model answers
+# to are not: what moves fast is then smaller in the measured coefficient than in the modelled one. With every signal
+# filtered alike both sides are treated alike.
+
+BEYOND = 2.0  # corrected deviations, from which a move is worth a word
+
+
+def filter_mismatch_notes(records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult) -> tuple[str, ...]:
+    """A sentence where estimates from published coefficients move once all signals are filtered alike."""
+    sound = (MleStatus.CONVERGED, MleStatus.AT_BOUND)
+    if mle.status not in sound:
+        return ()
+    alike = fit_mle(model, observe(records, card, model, Forming.MATCHED), start=mle.estimate, extra_starts=0)
+    away = np.abs(alike.estimate - mle.estimate) / np.where(mle.crb_corrected > 0.0, mle.crb_corrected, np.inf)
+    far = [i for i in np.argsort(-away) if away[i] > BEYOND]
+    if alike.status not in sound or not far:
+        return ()
+    moves = "; ".join(
+        f"{mle.names[i]} would be {alike.estimate[i]:.4g} {mle.units[i] if mle.units[i] != '1' else ''}".rstrip()
+        + f" instead of {mle.estimate[i]:.4g} ({away[i]:.1f} corrected standard errors)"
+        for i in far
+    )
+    return (
+        "Coefficients are formed as published: measured accelerations are smoothed, control inputs of the model are "
+        f"not, and alpha-dot is the derivative of the vane angle. With the same filter on all signals, {moves}. No "
+        "interval here includes this difference; without --coefficients published both sides are filtered alike.",
+    )
+
+
+# --- The stall in two numbers with intervals: the highest steady lift coefficient, and the angle of it.
+# Quasi-steady: CL(alpha) at alpha-dot = 0 and zero rates, all other signals at their median near the stall. The maximum
+# is sought over the recorded angles; where it is at their edge, the record does not contain the stall.
+
+POINTS = 241  # angles: less than 0.1 deg apart over 20 deg, and the maximum is found between them
+CURVE_DRAWS = 400
+QUANTILES = (0.025, 0.5, 0.975)
+RATE_SHARES = (0.05, 0.95)  # quantiles of the recorded alpha-dot at which separation is shown beside the steady one
+
+
+def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str, Any], aircraft: Aircraft) -> Stall:
+    """The stall over draws of the free parameters (columns as `model.names`), within the angles that `signals` hold."""
+    thin = draws[np.unique(np.linspace(0, len(draws) - 1, min(CURVE_DRAWS, len(draws))).astype(int))]
+    flown = np.asarray(signals["alpha"])
+    alpha = np.linspace(float(flown.min()), float(flown.max()), POINTS)
+    low, high = np.quantile(np.asarray(signals["alpha_dot"]), RATE_SHARES)
+    rates = np.array([min(low, 0.0), 0.0, max(high, 0.0)])
+    reference = conditions(signals)
+    held = {name: jnp.asarray(value) for name, value in reference.items()}
+    flows = _flows(model, jnp.asarray(thin), jnp.asarray(alpha), jnp.asarray(rates), held, aircraft)
+    X, CL, CD = (np.asarray(flows[name]) for name in ("X", "CL", "CD"))  # (m, rates, angles)
+    steady, drag = CL[:, 1], CD[:, 1]
+    peak, place, edge = maxima(alpha, steady)
+    return Stall(
+        alpha=alpha,
+        CL=np.quantile(steady, QUANTILES, axis=0),
+        CD=np.quantile(drag, QUANTILES, axis=0),
+        rates=rates,
+        X=np.moveaxis(np.quantile(X, QUANTILES, axis=0), 0, 1),
+        CL_max=Interval.of(peak),
+        alpha_max=Interval.of(place),
+        at_edge=float(np.mean(edge)),
+        reference=reference,
+    )
+
+
+def stall_of_run(run: Identification) -> Stall | None:
+    """CLmax and its angle from the first posterior that converged; without one there is none."""
+    for key, posterior in run.posteriors.items():
+        if key != "white" and posterior.status is PosteriorStatus.CONVERGED:
+            o = run.observations
+            return stall_of(run.model, posterior.draws(run.model.names), o.signals, o.aircraft)
+    return None
+
+
+def maxima(x: Float[np.ndarray, " g"], y: Float[np.ndarray, "m g"]):
+    """Maximum of every row, its position (by a parabola through three even points), and whether it is at an edge."""
+    i = np.argmax(y, axis=1)
+    edge = (i == 0) | (i == len(x) - 1)
+    j = np.clip(i, 1, len(x) - 2)
+    rows = np.arange(len(y))
+    before, here, after = y[rows, j - 1], y[rows, j], y[rows, j + 1]
+    bend = np.where(edge, -1.0, before - 2.0 * here + after)
+    shift = np.where(edge | (bend >= 0.0), 0.0, 0.5 * (before - after) / np.where(bend < 0.0, bend, -1.0))
+    step = x[1] - x[0]
+    peak = np.where(edge, y[rows, i], here - 0.25 * (before - after) * shift)
+    return peak, np.where(edge, x[i], x[j] + shift * step), edge
+
+
+@eqx.filter_jit
+def _flows(model, thetas: Float[Array, "m k"], alpha: Float[Array, " g"], rates: Float[Array, " r"], held, aircraft):
+    flows = jax.vmap(lambda theta, rate: steady_flow(model, theta, alpha, rate, held, aircraft), in_axes=(None, 0))
+    return jax.lax.map(lambda theta: flows(theta, rates), thetas)

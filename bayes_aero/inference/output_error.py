@@ -322,7 +322,7 @@ class OutputErrorResult:
         return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > PRIOR_RATIO * own)
 
 
-def scaled_eigen(A: Square, kept: np.ndarray) -> tuple[Vector, Square, Vector]:
+def scaled_eigen(A: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Eigenvalues and vectors of the block `kept` (indices) of A scaled to unit diagonal, and the scale."""
     block = A[np.ix_(kept, kept)]
     scale = np.sqrt(np.diag(block))

@@ -350,10 +350,10 @@ class Posterior:
     status: PosteriorStatus
     seconds: float
 
-    def draws(self) -> Float[np.ndarray, "m k"]:
-        """All draws, shape (m, k): chains one after the other, columns as `names`."""
+    def draws(self, names: Sequence[str] | None = None) -> Float[np.ndarray, "m k"]:
+        """All draws, shape (m, k): chains one after the other, columns as these `names` (default: all)."""
         posterior = self.tree["posterior"].to_dataset()
-        return np.stack([np.asarray(posterior[name]).reshape(-1) for name in self.names], axis=1)
+        return np.stack([np.asarray(posterior[name]).reshape(-1) for name in names or self.names], axis=1)
 
     @property
     def covariance(self) -> Float[np.ndarray, "k k"]:

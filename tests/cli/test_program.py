@@ -25,7 +25,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
 from bayes_aero.flight import reading
 from bayes_aero.flight.card import read_card
-from bayes_aero.inference.validation import SplitKind
+from bayes_aero.inference.gp import SplitKind
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs import options
 from bayes_aero.jobs.finished import FORMS

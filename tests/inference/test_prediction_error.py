@@ -42,14 +42,16 @@ from bayes_aero.inference.optimise import (
     minimise,
 )
 from bayes_aero.inference.prediction_error import (
+    LEVELS,
     SPREAD,
     PredictionErrorStatus,
     fit_prediction_error,
     innovations_posterior,
+    one_step,
+    probability_transform,
     sample_innovations,
 )
 from bayes_aero.inference.results import Calibration, PosteriorStatus
-from bayes_aero.inference.validation import LEVELS, one_step, probability_transform
 from bayes_aero.model.observations import join
 from bayes_aero.parameter import Parameter, Prior
 

@@ -9,8 +9,9 @@ import pytest
 from scipy.stats import kstest, norm
 
 from bayes_aero.errors import InputError
+from bayes_aero.inference.gp import BLOCK_SECONDS, make_splits
 from bayes_aero.inference.results import interval_coverage, score
-from bayes_aero.inference.validation import BAND, BLOCK_SECONDS, histogram, make_splits, neighbours, pit
+from bayes_aero.inference.sampling import BAND, histogram, neighbours, pit
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.simulate.demo import TRUTH

@@ -16,7 +16,7 @@ from scipy.stats import multivariate_normal
 import bayes_aero as ba
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card import read_card
-from bayes_aero.inference.mle import descend, fit_mle, without_noise_bias
+from bayes_aero.inference.mle import descend, fit_mle, maxima, stall_of, without_noise_bias
 from bayes_aero.inference.results import MleStatus, PosteriorStatus
 from bayes_aero.inference.sampling import (
     EnsembleLength,
@@ -29,7 +29,6 @@ from bayes_aero.inference.sampling import (
     sample_nuts,
     search_modes,
 )
-from bayes_aero.inference.validation import maxima, stall_of
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
 from bayes_aero.model.observations import observe

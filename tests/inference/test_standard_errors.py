@@ -22,8 +22,7 @@ from bayes_aero.inference.covariance import (
 from bayes_aero.inference.frequency import cramer_rao, solve
 from bayes_aero.inference.mle import active_bounds, prior_conflicts
 from bayes_aero.inference.results import inseparable
-from bayes_aero.inference.sampling import Drawn, assemble
-from bayes_aero.inference.validation import Dependence, prior_sensitivity
+from bayes_aero.inference.sampling import Dependence, Drawn, assemble, prior_sensitivity
 from bayes_aero.model.noise import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.pages.estimates import (
