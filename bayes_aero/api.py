@@ -45,9 +45,8 @@ from bayes_aero.jobs.check import RecordChecks, record_checks, repaired
 from bayes_aero.jobs.identify import pooled_manoeuvres
 from bayes_aero.jobs.options import FormingName, NoiseName
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
-from bayes_aero.model.noise import Colour, Density, Noise
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import DEFAULT as DEFAULT_NOISE
+from bayes_aero.model.observations import Colour, Density, Noise, observe
 from bayes_aero.model.records import Forming, on_recorded_axes
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.pages.diagnosis import causes_table, changes_table, scores_frame, screen_table, terms_table

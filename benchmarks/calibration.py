@@ -34,8 +34,7 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import Posterior
 from bayes_aero.inference.sampling import density_start, sample_ensemble, sample_nuts, search_modes
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Density, Noise
-from bayes_aero.model.observations import Observations, observe
+from bayes_aero.model.observations import Colour, Density, Noise, Observations, observe
 from bayes_aero.simulate.demo import simulate_stall
 
 DRAWS = 99  # posterior draws that a truth is ranked among: ranks 0 to 99

@@ -26,8 +26,7 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.pooled import SCATTER, Hierarchy, from_prior_units, next_flight, pool, to_prior_units
 from bayes_aero.inference.sampling import NutsLength
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import DEFAULT, Density, Noise
-from bayes_aero.model.observations import Observations, observe
+from bayes_aero.model.observations import DEFAULT, Density, Noise, Observations, observe
 from bayes_aero.simulate.demo import DISTURBANCE, TRUTH, simulate_stall
 
 NAMES = ("first", "second", "third")

@@ -37,7 +37,7 @@ from bayes_aero.flight.readers.text import open_text
 from bayes_aero.inference.results import Posterior, PosteriorStatus
 from bayes_aero.jobs.check import RecordChecks
 from bayes_aero.jobs.options import IdentifyOptions
-from bayes_aero.model.noise import DEFAULT, Colour
+from bayes_aero.model.observations import DEFAULT, Colour
 from bayes_aero.physics.filters import smooth
 from bayes_aero.report.pages.estimates import ordered
 from bayes_aero.simulate.demo import simulate_stall

@@ -9,7 +9,7 @@ from bayes_aero.effect import Example, Increments, Known, Signals, Stage, Values
 from bayes_aero.effects.derivatives import OUR_WIDTH, STALL_MODEL, derivative
 from bayes_aero.parameter import Length, Prior, Role
 from bayes_aero.physics.aircraft import Aircraft
-from bayes_aero.physics.separation import kept_lift, kirchhoff_factor, lagged, moments_of_difference, separation_point
+from bayes_aero.physics.filters import kept_lift, kirchhoff_factor, lagged, moments_of_difference, separation_point
 
 ATTACHED = 10.0  # rad; so far above any angle of attack that X is 1 to the last bit
 

@@ -37,8 +37,7 @@ from bayes_aero.inference.mle import (
 from bayes_aero.inference.results import MleResult, MleStatus, NextFlight, Posterior
 from bayes_aero.inference.sampling import NutsLength, diagnose, find_mode, sample_nuts
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import LogDensity
-from bayes_aero.model.observations import Observations
+from bayes_aero.model.observations import LogDensity, Observations
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress
 

@@ -46,7 +46,7 @@ from bayes_aero.inference.sampling import (
     sample_ensemble,
     sample_nuts,
 )
-from bayes_aero.model.noise import LogDensity
+from bayes_aero.model.observations import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress
 

@@ -27,8 +27,7 @@ if TYPE_CHECKING:  # they load JAX, which checks of records do without
     import xarray as xr
 
     from bayes_aero.model.model import Model
-    from bayes_aero.model.noise import Colour
-    from bayes_aero.model.observations import Observations
+    from bayes_aero.model.observations import Colour, Observations
 
 FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which a record is too short for intervals; our choice
 LARGE_BIAS = 0.75  # of the corrected standard error, which contains the bias

@@ -35,7 +35,7 @@ from bayes_aero.inference.results import (
     Posterior,
     PosteriorStatus,
 )
-from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
+from bayes_aero.model.observations import Colour, Density, LogDensity, Noise
 from bayes_aero.processes import cores
 from bayes_aero.progress import Progress
 

@@ -41,8 +41,7 @@ from bayes_aero.jobs.io.results import identified, put_histories, remove_older, 
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.store import Growing, provenance, writable, write_json
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Density, Noise
-from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.model.observations import Colour, Density, Noise, despiked, join, observe
 from bayes_aero.model.records import Forming, on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress

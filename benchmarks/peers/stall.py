@@ -100,7 +100,7 @@ def lay_down(model: Model, observations: Observations, folder: Path, asked: dict
     from bayes_aero.inference.mle import fit_mle
     from bayes_aero.inference.results import MleStatus
     from bayes_aero.inference.sampling import density_start, find_mode
-    from bayes_aero.model.noise import Colour, Density, Noise
+    from bayes_aero.model.observations import Colour, Density, Noise
 
     best = fit_mle(model, observations, extra_starts=0)
     if best.status is not MleStatus.CONVERGED:
@@ -225,7 +225,7 @@ def our_sampler(engine: str) -> Callable[[Problem, int, argparse.Namespace], Sam
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Sampling:
         from bayes_aero.inference.sampling import ModeStatus, PosteriorMode
-        from bayes_aero.model.noise import Colour, Density, Noise
+        from bayes_aero.model.observations import Colour, Density, Noise
 
         model, observations = stall(problem)
         density = Density(observations, model, Noise(Colour.WHITE))

@@ -30,7 +30,7 @@ from bayes_aero.jobs import identify as job
 from bayes_aero.jobs import options
 from bayes_aero.jobs.finished import FORMS
 from bayes_aero.jobs.io.documents import document_schema
-from bayes_aero.model.noise import Colour
+from bayes_aero.model.observations import Colour
 from bayes_aero.model.records import Forming
 from bayes_aero.simulate import demo
 

@@ -13,7 +13,7 @@ from bayes_aero.inference.gp import BLOCK_SECONDS, make_splits
 from bayes_aero.inference.results import interval_coverage, score
 from bayes_aero.inference.sampling import BAND, histogram, neighbours, pit
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Density, Noise
+from bayes_aero.model.observations import Colour, Density, Noise
 from bayes_aero.simulate.demo import TRUTH
 
 

@@ -30,8 +30,7 @@ from bayes_aero.inference.sampling import (
     search_modes,
 )
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import Colour, Density, LogDensity, Noise, observe
 from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 

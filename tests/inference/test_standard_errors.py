@@ -23,7 +23,7 @@ from bayes_aero.inference.frequency import cramer_rao, solve
 from bayes_aero.inference.mle import active_bounds, prior_conflicts
 from bayes_aero.inference.results import inseparable
 from bayes_aero.inference.sampling import Dependence, Drawn, assemble, prior_sensitivity
-from bayes_aero.model.noise import LogDensity
+from bayes_aero.model.observations import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.pages.estimates import (
     bound_sentences,

@@ -19,7 +19,7 @@ from bayes_aero.physics.coefficients import (
     condition_joined,
     unsmoothed_joined,
 )
-from bayes_aero.physics.separation import kirchhoff_factor, lagged, separation_point
+from bayes_aero.physics.filters import kirchhoff_factor, lagged, separation_point
 from bayes_aero.simulate.injection import hidden_flights
 
 

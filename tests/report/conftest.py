@@ -27,8 +27,7 @@ from bayes_aero.inference.results import (
 )
 from bayes_aero.inference.sampling import pit_of
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.model.observations import Observations
+from bayes_aero.model.observations import Colour, Noise, Observations
 from bayes_aero.physics.aircraft import NAMES
 
 EFFECTS = ("attached_lift", "elevator_moment", "pitching_moment", "profile_drag")

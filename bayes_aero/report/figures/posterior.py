@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from bayes_aero.inference.results import score
-from bayes_aero.model.noise import Colour
+from bayes_aero.model.observations import Colour
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.model.noise import Noise
+from bayes_aero.model.observations import Noise
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.pages.estimates import chosen_posteriors, engine_label, noise_label, ordered
