@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 from studies import parser_of, rows_of, run_seeds
 
 from bayes_aero.flight.card import read_card
-from bayes_aero.inference.gp import Budget, hyper_names, sample_posterior, systematic_resample
+from bayes_aero.inference.gp import Budget, sample_posterior, systematic_resample
 from bayes_aero.inference.gp_kernel import Priors, ReducedData, find_map
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import Posterior
@@ -126,6 +126,12 @@ def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], 
     found = sample_posterior(best, data, priors, budget=Budget(draws=400, seed=seed))
     own = rank(theta, rng.permutation(found.theta[systematic_resample(found.log_weight, seed)]))
     return Replicate(seed, dict(zip(hyper_names(names), map(int, own), strict=True)), found.status.name)
+
+
+def hyper_names(input_names: tuple[str, ...]) -> list[str]:
+    """Flat names in the order of theta."""
+    linear, length = ([f"{kind}[{name}]" for name in input_names] for kind in ("linear", "length_scale"))
+    return ["constant", *linear, "signal", *length, "noise"]
 
 
 def covariance(theta: Float[np.ndarray, " p"], x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n n"]:

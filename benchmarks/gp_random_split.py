@@ -61,7 +61,7 @@ def main():
             data = ReducedData.of(scaling.inputs(X[fold.train_idx]), y / scaling.rms)
             best = best_optimum(data, seed, warm.get(name))
             if name not in warm:
-                warm[name] = best, curvature(best, data, PRIORS)[0]
+                warm[name] = best, curvature(best, data, PRIORS)
             mean, _ = gaussian_parts(best.theta, data, scaling.inputs(X[fold.test_idx]))
             gp, mle = score(measured, scaling.rms * mean), score(measured, predicted[fold.test_idx, i])
             margins[name].append((gp.r - mle.r, gp.rmse / mle.rmse))

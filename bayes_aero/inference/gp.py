@@ -28,8 +28,6 @@ from scipy.special import logsumexp, ndtr
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp_kernel import (
-    LENGTH_BOUNDS,
-    NOISE_BOUNDS,
     SAME_OPTIMUM,
     MapStatus,
     Optimum,
@@ -48,6 +46,7 @@ from bayes_aero.inference.gp_kernel import (
     maximise,
     noise_to_signal,
     scaled_distance_kernel,
+    search_box,
 )
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import GPReport, MleResult, Validation, score
@@ -90,10 +89,6 @@ class SampleStatus(enum.Enum):
         "Refused: the exact covariance could not be factorised at some draws. "
         "Use the MAP, or give the noise a prior with a larger median."
     )
-    dependent = (
-        "Refused: an input, or the output, is a linear combination of the inputs, so their parts cannot be told apart. "
-        "Use the MAP, or leave one of the inputs out."
-    )
     no_optimum = "Refused: the search for the most probable hyperparameters failed; see the MAP's status."
 
 
@@ -130,14 +125,14 @@ def student_draws(
 def sample_posterior(optimum: Optimum, data: ReducedData, priors: Priors, *, budget: Budget = Budget()) -> Weighted:
     """Weighed draws of theta from the exact posterior around `optimum`, with a status."""
     rng, k = np.random.default_rng(budget.seed), data.x.shape[1] + 2
-    centre, covariance = optimum.u, curvature(optimum, data, priors)[0]
-    bounds = np.array([LENGTH_BOUNDS] * (k - 2) + [NOISE_BOUNDS])  # of the search; beyond, the posterior is cut off
+    centre, covariance = optimum.u, curvature(optimum, data, priors)
+    box = search_box(k - 2)  # beyond that of the search for the mode the posterior is cut off
     for number in range(budget.rounds):
         us, proposed = student_draws(rng, budget.draws, centre, np.linalg.cholesky(covariance))
         profile, status = ProfilePosterior(data, priors, optimum.theta[:k].copy()), SampleStatus.accepted
         theta, exact, ratio = np.tile(optimum.theta, (len(us), 1)), np.full(len(us), -np.inf), np.full(len(us), -np.inf)
         for i, u in enumerate(us):
-            if np.any((u < bounds[:, 0]) | (u > bounds[:, 1])):
+            if np.any((u < box[:, 0]) | (u > box[:, 1])):
                 continue
             try:
                 point = exact_point(u, data, slopes=False)
@@ -182,12 +177,6 @@ def pareto_smooth(log_ratio: Float[np.ndarray, "*shape"]) -> tuple[Float[np.ndar
 # --- The sampled hyperparameters as an ArviZ DataTree, in physical units.
 
 PRIOR_DRAWS = 2000
-
-
-def hyper_names(input_names: tuple[str, ...]) -> list[str]:
-    """Flat names in the order of theta, for labels and messages."""
-    linear, length = ([f"{kind}[{name}]" for name in input_names] for kind in ("linear", "length_scale"))
-    return ["constant", *linear, "signal", *length, "noise"]
 
 
 def systematic_resample(log_weight: Float[np.ndarray, " draws"], seed: int) -> Int[np.ndarray, " draws"]:
@@ -377,8 +366,6 @@ def fit_gp(
     status, sampled, draws, tree = SampleStatus.not_sampled, None, None, None
     if sample and optima[0].status is MapStatus.not_positive_definite:
         status = SampleStatus.no_optimum
-    elif sample and data.dependent:
-        status = SampleStatus.dependent
     elif sample:
         sampled = sample_posterior(optima[0], data, priors, budget=budget)
         status = sampled.status

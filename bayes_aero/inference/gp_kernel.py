@@ -220,7 +220,6 @@ class Priors:
 # dR/dlog l_k = SE o (x_ik - x_jk)^2 (elementwise), and sum_ij M_ij (x_ik - x_jk)^2 for a symmetric M needs only M's
 # row sums and M x: no n x n x p array is ever formed. LAPACK potrf + potri, n^3 flops together.
 
-DEPENDENT = 1e-6  # of singular values: its square is lost in the rounding of a gram that R^-1 stretches
 dpotrf, dpotrs, dpotri = get_lapack_funcs(("potrf", "potrs", "potri"), dtype=np.float64)
 
 
@@ -237,12 +236,6 @@ class ReducedData(NamedTuple):
     @property
     def n(self) -> int:
         return self.x.shape[0]
-
-    @property
-    def dependent(self) -> bool:
-        """Whether a column of F_y is a combination of the others: an input given twice, or an output that is linear."""
-        values = np.linalg.svd(self.fy / np.linalg.norm(self.fy, axis=0), compute_uv=False)
-        return bool(values[-1] <= DEPENDENT * values[0])
 
 
 class ExactPoint(NamedTuple):
@@ -313,6 +306,11 @@ DIFFERENCE_STEP = 0.05  # of log l and log g, for the curvature at an optimum
 SAME_OPTIMUM = 0.5  # two optima closer than this in every log l and log g are one
 
 
+def search_box(d: int) -> Float[np.ndarray, "u 2"]:
+    """Bounds of u."""
+    return np.array([LENGTH_BOUNDS] * d + [NOISE_BOUNDS])
+
+
 class MapStatus(enum.Enum):
     """How the search for the most probable hyperparameters ended; the value says what to do."""
 
@@ -342,12 +340,11 @@ class Optimum(NamedTuple):
 
 
 class ProfilePosterior:
-    """max over w of log q + log p(y | w, u); `w` is the next start, `points` has every exact evaluation."""
+    """max over w of log q + log p(y | w, u), its gradient, and theta; `w` is the next start."""
 
     def __init__(self, data: ReducedData, priors: Priors, w: Float[np.ndarray, " w"] | None = None):
         self.data, self.priors = data, priors
         self.w = np.zeros(data.x.shape[1] + 2) if w is None else w
-        self.points: list[ExactPoint] = []
 
     def inner(self, point: ExactPoint) -> Slopes:
         """The posterior at the best w; `LinAlgError` where a matrix is not positive definite."""
@@ -358,7 +355,6 @@ class ProfilePosterior:
 
     def __call__(self, u: LengthsAndNoise) -> tuple[float, LengthsAndNoise, Theta]:
         point = exact_point(u, self.data)
-        self.points.append(point)
         best = self.inner(point)
         gradient = -0.5 * point.d_logdet + np.tensordot(point.d_gram, best.by_gram, 2)
         gradient[:-1] += best.by_theta[length_slice(u.size - 1)]
@@ -378,8 +374,7 @@ def maximise(
 ) -> Optimum:
     """Local optimum from u (and w) by L-BFGS-B over u; `tolerance` is relative in the log posterior."""
     # Where a guess of the Laplace `covariance` of u is at hand, BFGS starts from it: half the evaluations.
-    profile = ProfilePosterior(data, priors, w)
-    box = np.array([LENGTH_BOUNDS] * (u.size - 1) + [NOISE_BOUNDS])
+    profile, box = ProfilePosterior(data, priors, w), search_box(u.size - 1)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
 
     def negative(at):
@@ -423,14 +418,6 @@ def starting_points(priors: Priors, d: int, count: int, seed: int) -> Float[np.n
     return np.concatenate([fixed, drawn])[:count]
 
 
-def thinned(data: ReducedData, size: int, seed: int) -> ReducedData:
-    """At most `size` of the samples, chosen at random with `seed`."""
-    if data.n <= size:
-        return data
-    rows = np.sort(np.random.default_rng(seed).choice(data.n, size, replace=False))
-    return ReducedData(data.x[rows], data.fy[rows])
-
-
 def distinct(optima: list[Optimum], count: int) -> list[Optimum]:
     """The best `count` optima that are not the same one in u, best first; unbounded directions count as equal."""
     kept: list[Optimum] = []
@@ -443,8 +430,8 @@ def distinct(optima: list[Optimum], count: int) -> list[Optimum]:
 
 def find_map(data: ReducedData, priors: Priors, *, starts: int = 16, polish: int = 2, seed: int = 0) -> list[Optimum]:
     """The distinct optima found, best first: `starts` on 300 points, the best 4 on 1000, the best `polish` on n."""
-    d = data.x.shape[1]
-    screen, middle = thinned(data, SCREEN_SIZE, seed), thinned(data, MIDDLE_SIZE, seed + 1)
+    d, rows = data.x.shape[1], [np.random.default_rng(seed + i).permutation(data.n) for i in (0, 1)]
+    screen, middle = (ReducedData(data.x[at], data.fy[at]) for at in (rows[0][:SCREEN_SIZE], rows[1][:MIDDLE_SIZE]))
     points = starting_points(priors, d, starts, seed)
     optima = distinct([maximise(u, screen, priors, max_iterations=30, tolerance=1e-5) for u in points], 4)
     if middle.n > screen.n:
@@ -454,20 +441,19 @@ def find_map(data: ReducedData, priors: Priors, *, starts: int = 16, polish: int
     for o in optima[:polish]:
         guess = None
         if data.n > middle.n and o.status is MapStatus.converged:  # the curvature grows with n
-            guess = curvature(o, middle, priors)[0] * middle.n / data.n
+            guess = curvature(o, middle, priors) * middle.n / data.n
         whole.append(maximise(o.u, data, priors, w=o.theta[: d + 2], covariance=guess))
     return distinct(whole, polish)
 
 
-def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> tuple[Float[np.ndarray, "u u"], list[ExactPoint]]:
-    """Laplace covariance of u (standard deviation at most 1.5 in undetermined directions), and its exact points."""
-    profile = ProfilePosterior(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
-    u = optimum.u
-    _, base, _ = profile(u)
-    rows = [(profile(u + step)[1] - base) / DIFFERENCE_STEP for step in DIFFERENCE_STEP * np.eye(u.size)]
-    values, vectors = np.linalg.eigh(-0.5 * (np.array(rows) + np.array(rows).T))
+def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> Float[np.ndarray, "u u"]:
+    """Laplace covariance of u (standard deviation at most 1.5 in undetermined directions)."""
+    profile, u = ProfilePosterior(data, priors, optimum.theta[: data.x.shape[1] + 2].copy()), optimum.u
+    base = profile(u)[1]
+    rows = np.array([(profile(u + step)[1] - base) / DIFFERENCE_STEP for step in DIFFERENCE_STEP * np.eye(u.size)])
+    values, vectors = np.linalg.eigh(-0.5 * (rows + rows.T))
     covariance = (vectors / np.maximum(values, 1.0 / 1.5**2)) @ vectors.T
-    return 0.5 * (covariance + covariance.T), profile.points
+    return 0.5 * (covariance + covariance.T)
 
 
 # --- The most probable s0, s_i and sf at given length scales and noise-to-signal ratio, by Newton's method.

@@ -117,12 +117,7 @@ def descend(model: Model, observations: Observations, start: Vector) -> Descent:
 
 
 def fit_mle(
-    model: Model,
-    observations: Observations,
-    *,
-    extra_starts: int = 6,
-    start: Vector | None = None,
-    seed: int = 0,
+    model: Model, observations: Observations, *, extra_starts: int = 6, start: Vector | None = None, seed: int = 0
 ) -> MleResult:
     """Maximum-likelihood estimate of the model's free parameters."""
     # Starts from `start` (default: the card's) and from `extra_starts` draws of the priors, inside the bounds. The

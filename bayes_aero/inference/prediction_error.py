@@ -38,14 +38,7 @@ from bayes_aero.inference.covariance import covariance_of, standard_error_of_sum
 from bayes_aero.inference.optimise import APPROXIMATE_SCORING, Evaluation, Problem, Vector, minimise
 from bayes_aero.inference.output_error import initial_state_sd
 from bayes_aero.inference.results import COLOURED_INNOVATIONS, Calibration, OneStep, Posterior, Predicted, Share
-from bayes_aero.inference.sampling import (
-    EnsembleLength,
-    NutsLength,
-    find_mode,
-    inside,
-    sample_ensemble,
-    sample_nuts,
-)
+from bayes_aero.inference.sampling import EnsembleLength, NutsLength, find_mode, inside, sample_ensemble, sample_nuts
 from bayes_aero.model.observations import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress

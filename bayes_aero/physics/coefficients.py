@@ -17,13 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from bayes_aero.arrays import AnyArray, Samples, namespace, xp
 from bayes_aero.physics.aircraft import NAMES, Aircraft, Axis
-from bayes_aero.physics.filters import (
-    LONG_REACH,
-    differentiate_joined,
-    inside_joined,
-    smooth_joined,
-    smooth_long,
-)
+from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, inside_joined, smooth_joined, smooth_long
 from bayes_aero.physics.kinematics import (
     RATES,
     Rotation,
