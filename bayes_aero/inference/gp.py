@@ -27,27 +27,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import logsumexp, ndtr
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp_kernel import (
-    SAME_OPTIMUM,
-    MapStatus,
-    Optimum,
-    Priors,
-    ProfilePosterior,
-    ReducedData,
-    Scaling,
-    Theta,
-    assemble,
-    curvature,
-    density_at,
-    distinct,
-    exact_point,
-    factorise,
-    find_map,
-    maximise,
-    noise_to_signal,
-    scaled_distance_kernel,
-    search_box,
-)
+from bayes_aero.inference import gp_kernel as kernel
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import GPReport, MleResult, Validation, score
 from bayes_aero.model.model import Model
@@ -122,28 +102,30 @@ def student_draws(
     return centre + z @ root.T, log_density
 
 
-def sample_posterior(optimum: Optimum, data: ReducedData, priors: Priors, *, budget: Budget = Budget()) -> Weighted:
+def sample_posterior(
+    optimum: kernel.Optimum, data: kernel.ReducedData, priors: kernel.Priors, *, budget: Budget = Budget()
+) -> Weighted:
     """Weighed draws of theta from the exact posterior around `optimum`, with a status."""
     rng, k = np.random.default_rng(budget.seed), data.x.shape[1] + 2
-    centre, covariance = optimum.u, curvature(optimum, data, priors)
-    box = search_box(k - 2)  # beyond that of the search for the mode the posterior is cut off
+    centre, covariance = optimum.u, kernel.curvature(optimum, data, priors)
+    box = kernel.search_box(k - 2)  # beyond that of the search for the mode the posterior is cut off
     for number in range(budget.rounds):
         us, proposed = student_draws(rng, budget.draws, centre, np.linalg.cholesky(covariance))
-        profile, status = ProfilePosterior(data, priors, optimum.theta[:k].copy()), SampleStatus.accepted
+        profile, status = kernel.ProfilePosterior(data, priors, optimum.theta[:k].copy()), SampleStatus.accepted
         theta, exact, ratio = np.tile(optimum.theta, (len(us), 1)), np.full(len(us), -np.inf), np.full(len(us), -np.inf)
         for i, u in enumerate(us):
             if np.any((u < box[:, 0]) | (u > box[:, 1])):
                 continue
             try:
-                point = exact_point(u, data, slopes=False)
+                point = kernel.exact_point(u, data, slopes=False)
                 best = profile.inner(point)
             except np.linalg.LinAlgError:
                 status = SampleStatus.not_positive_definite
                 continue
             values, vectors = np.linalg.eigh(-best.by_w_twice)
             w, of_w = student_draws(rng, INNER_DRAWS, profile.w, vectors / np.sqrt(np.maximum(values, WIDEST**-2.0)))
-            thetas = np.array([assemble(x, u) for x in w])
-            density = np.array([density_at(t, point, data.n, priors) for t in thetas])
+            thetas = np.array([kernel.assemble(x, u) for x in w])
+            density = np.array([kernel.density_at(t, point, data.n, priors) for t in thetas])
             weight = np.where(np.isfinite(density), density, -np.inf) - of_w
             ratio[i] = logsumexp(weight) - np.log(INNER_DRAWS) - proposed[i]
             at = rng.choice(INNER_DRAWS, p=np.exp(weight - logsumexp(weight)))
@@ -189,8 +171,8 @@ def systematic_resample(log_weight: Float[np.ndarray, " draws"], seed: int) -> I
 def posterior_tree(
     weighted: Weighted,
     at: Int[np.ndarray, " draws"],
-    scaling: Scaling,
-    priors: Priors,
+    scaling: kernel.Scaling,
+    priors: kernel.Priors,
     names: tuple[str, ...],
     output_name: str,
     seed: int,
@@ -267,12 +249,12 @@ class Prediction(NamedTuple):
 
 
 def gaussian_parts(
-    theta: Theta, data: ReducedData, x_new: Float[np.ndarray, "k d"]
+    theta: kernel.Theta, data: kernel.ReducedData, x_new: Float[np.ndarray, "k d"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Mean and variance of the latent function at scaled inputs x_new (k, d), in scaled output units."""
     # With R, F, D of `gp_kernel`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
     # Williams 2006, eq. 2.42) with a proper prior D on the basis. One factorisation and one triangular solve.
-    d, factor = data.x.shape[1], factorise(noise_to_signal(theta), data)
+    d, factor = data.x.shape[1], kernel.factorise(kernel.noise_to_signal(theta), data)
     if factor is None:
         raise np.linalg.LinAlgError("covariance not positive definite at an accepted draw")
     lower, v = factor
@@ -282,7 +264,7 @@ def gaussian_parts(
     v_basis, v_y = v[:, : d + 1] * root, v[:, d + 1]
     inner = (cholesky(np.eye(d + 1) + basis.T @ v_basis, lower=True), True)
     weight = cho_solve(inner, basis.T @ v_y)  # posterior mean of the basis weights, in units of root
-    cross = scaled_distance_kernel(data.x / length, x_new / length)  # (n, k)
+    cross = kernel.scaled_distance_kernel(data.x / length, x_new / length)  # (n, k)
     new = np.column_stack([np.ones(len(x_new)), x_new]) * root
     mean = new @ weight + cross.T @ (v_y - v_basis @ weight)
     extra = solve_triangular(inner[0], (new - cross.T @ v_basis).T, lower=True)
@@ -301,9 +283,9 @@ class GPFit:
     """A trained GP."""
 
     input_names: tuple[str, ...]
-    scaling: Scaling
-    data: ReducedData
-    optima: tuple[Optimum, ...]  # the distinct ones found, best first
+    scaling: kernel.Scaling
+    data: kernel.ReducedData
+    optima: tuple[kernel.Optimum, ...]  # the distinct ones found, best first
     status: SampleStatus  # result of the sampling (`.value` is advice)
     sampled: Weighted | None
     draws: Float[np.ndarray, "draws p"] | None  # the posterior's theta, log scaled, equal weight
@@ -314,7 +296,7 @@ class GPFit:
         return self.scaling.physical(self.optima[0].theta)
 
     @property
-    def map_status(self) -> MapStatus:
+    def map_status(self) -> kernel.MapStatus:
         return self.optima[0].status
 
     @property
@@ -347,7 +329,7 @@ def fit_gp(
     y: Vector,
     *,
     names: tuple[str, ...] = (),
-    priors: Priors = Priors(),
+    priors: kernel.Priors = kernel.Priors(),
     sample: bool = True,
     budget: Budget = Budget(),
 ) -> GPFit:
@@ -360,20 +342,20 @@ def fit_gp(
         raise InputError(too_many(len(X)))
     if sample and any(q.family == "flat" for q in priors.each):
         raise InputError("A flat hyperparameter prior is improper: set sample=False or give proper priors.")
-    scaling = Scaling.of(X, y, names)
-    data = ReducedData.of(scaling.inputs(X), y / scaling.rms)
-    optima = tuple(find_map(data, priors, starts=budget.starts, seed=budget.seed))
+    scaling = kernel.Scaling.of(X, y, names)
+    data = kernel.ReducedData.of(scaling.inputs(X), y / scaling.rms)
+    optima = tuple(kernel.find_map(data, priors, starts=budget.starts, seed=budget.seed))
     status, sampled, draws, tree = SampleStatus.not_sampled, None, None, None
-    if sample and optima[0].status is MapStatus.not_positive_definite:
+    if sample and optima[0].status is kernel.MapStatus.not_positive_definite:
         status = SampleStatus.no_optimum
     elif sample:
         sampled = sample_posterior(optima[0], data, priors, budget=budget)
         status = sampled.status
     if sampled is not None and status is SampleStatus.accepted:
         best = sampled.theta[int(np.argmax(sampled.exact))]  # perhaps near an optimum that the starts did not find
-        if np.max(np.abs(noise_to_signal(best) - optima[0].u)) > SAME_OPTIMUM:
-            another = maximise(noise_to_signal(best), data, priors, w=best[: len(names) + 2])
-            optima = tuple(distinct([*optima, another], len(optima) + 1))
+        if np.max(np.abs(kernel.noise_to_signal(best) - optima[0].u)) > kernel.SAME_OPTIMUM:
+            another = kernel.maximise(kernel.noise_to_signal(best), data, priors, w=best[: len(names) + 2])
+            optima = tuple(kernel.distinct([*optima, another], len(optima) + 1))
         at = systematic_resample(sampled.log_weight, budget.seed)
         draws, tree = sampled.theta[at], posterior_tree(sampled, at, scaling, priors, names, output_name, budget.seed)
     return GPFit(names, scaling, data, optima, status, sampled, draws, tree)
@@ -470,7 +452,7 @@ def _train(
     """One fit, in a process that ends with its `parent`, and its scores."""
     exit_with(parent)
     train, test, (sampled, seed) = fold.train_idx, fold.test_idx, sampled_with_seed
-    priors = Priors.quasi_steady()
+    priors = kernel.Priors.quasi_steady()
     fit = fit_gp(X[train], z[train], names=names, priors=priors, sample=sampled, budget=Budget(seed=seed))
     if tidy:
         give_back_memory()

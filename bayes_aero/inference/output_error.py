@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar
 from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics, biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
-from bayes_aero.inference.covariance import BLOCK, LinearFit, calibration, corrected_covariance, covariance_of, means
+from bayes_aero.inference.covariance import BLOCK, LinearFit, calibration, covariance_of, means, segments_corrected
 from bayes_aero.inference.optimise import (
     MAX_TRIALS,
     Evaluation,
@@ -295,12 +295,10 @@ class OutputErrorResult:
         k, inside = len(self.estimate), self.flown.inside
         S, own, residual = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :], self.columns[..., 0]
         S = S - np.einsum("wncs,wsk->wnck", own, self.eliminated)  # at optimal initial states
-        segment = np.nonzero(inside)[0]
-        start = np.diff(segment, prepend=-1) != 0
         D, weight = self.covariance, self.priors.weight
         said = np.diag(self.priors.precision)
         said = said + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
-        spread = corrected_covariance(D, S[inside], self.R, residual[inside], segment, start)
+        spread = segments_corrected(D, S, self.R, residual, inside)
         dt = float(np.median(self.flown.dt))
         size = min(max(1, round(BLOCK / dt)), inside.shape[1])
         precision = np.where(self.priors.fixed, np.inf, self.priors.states)

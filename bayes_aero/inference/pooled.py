@@ -24,16 +24,8 @@ from jaxtyping import Array, Bool, Float
 
 from bayes_aero.arrays import AnyArray
 from bayes_aero.errors import InputError
+from bayes_aero.inference import mle
 from bayes_aero.inference.covariance import robust_covariance
-from bayes_aero.inference.mle import (
-    MAX_SEPARATE_FITS,
-    SINGULAR,
-    TOLERANCE,
-    data_of,
-    evaluate,
-    full_steps,
-    scaled_inverse,
-)
 from bayes_aero.inference.results import MleResult, MleStatus, NextFlight, Posterior
 from bayes_aero.inference.sampling import NutsLength, diagnose, find_mode, sample_nuts
 from bayes_aero.model.model import Model
@@ -145,9 +137,9 @@ SHAPES = {key: ["parameter"] for key in ("aircraft", "scatter", "next_flight")} 
 
 def check_manoeuvres(count: int) -> None:
     """Refuse one manoeuvre, or more than are fitted one by one, by an `InputError` before anything is computed."""
-    if not 1 < count <= MAX_SEPARATE_FITS:
+    if not 1 < count <= mle.MAX_SEPARATE_FITS:
         raise InputError(
-            f"the next flight needs 2 to {MAX_SEPARATE_FITS} manoeuvres, and there {'is' if count == 1 else 'are'} "
+            f"the next flight needs 2 to {mle.MAX_SEPARATE_FITS} manoeuvres, and there {'is' if count == 1 else 'are'} "
             f"{count}; give other records, or divide a file by --split or parts like flight.csv@12.5:40"
         )
 
@@ -302,19 +294,19 @@ def _information(
     kept = np.ix_(inside, inside)
     if fit.status is not MleStatus.SINGULAR and np.all(np.isfinite(fit.corrected[kept])):
         information = np.zeros_like(fit.corrected)
-        information[kept] = scaled_inverse(fit.corrected[kept])[0]
+        information[kept] = mle.scaled_inverse(fit.corrected[kept])[0]
         return (information + information.T) / 2.0 if np.all(np.isfinite(information)) else None
     alone = observations.only(observations.names.index(name))
-    data = data_of(model, alone)
-    point = full_steps(data, fit.estimate, fit.estimate, fit.estimate, TOLERANCE, 0)
-    residual, S, _ = map(np.asarray, evaluate(data, jnp.asarray(fit.estimate)))
+    data = mle.data_of(model, alone)
+    point = mle.full_steps(data, fit.estimate, fit.estimate, fit.estimate, mle.TOLERANCE, 0)
+    residual, S, _ = map(np.asarray, mle.evaluate(data, jnp.asarray(fit.estimate)))
     A = point.information
     own_size = np.diag(A)
     scale = np.sqrt(np.where(own_size > 0.0, own_size, own_size.max()))
     size, vectors = np.linalg.eigh(A / np.outer(scale, scale))
-    kept = size > np.sqrt(SINGULAR)
+    kept = size > np.sqrt(mle.SINGULAR)
     inverse = (vectors[:, kept] / size[kept]) @ vectors[:, kept].T / np.outer(scale, scale)
     covariance, _ = robust_covariance(inverse, S, point.R, residual, alone.manoeuvre, np.asarray(alone.start), alone.dt)
     combined = vectors[:, kept] * scale[:, None]  # what the record determines is combined' times the parameters
-    information = combined @ scaled_inverse(combined.T @ covariance @ combined)[0] @ combined.T
+    information = combined @ mle.scaled_inverse(combined.T @ covariance @ combined)[0] @ combined.T
     return (information + information.T) / 2.0 if np.all(np.isfinite(information)) else None

@@ -126,7 +126,7 @@ def test_corrected_intervals_of_a_mean_hold_95_percent(rho):
     for _ in range(400):
         noise = np.asarray(lfilter([1.0], [1.0, -rho], rng.standard_normal(n + 100)))[100:]
         residual = (noise - noise.mean())[None, :, None]
-        plain = fit.corrected(residual)[0]
+        plain = segments_corrected(fit.D, fit.S, fit.R, residual, fit.inside)[0, 0]
         sd = np.sqrt(np.array([1.0, calibration(fit, residual, 0.2)[0]]) * plain)
         inside.append(abs(noise.mean()) < 1.96 * sd)
     plain, calibrated = np.mean(inside, axis=0)
@@ -142,7 +142,7 @@ def test_what_a_fit_takes_out_of_a_random_walk_is_in_its_corrected_variance():
         walk = np.cumsum(np.sqrt(dt) * rng.standard_normal(n))[None, :, None]
         slopes.append(np.sum(fit.weights[..., 0] * walk))
         residual = fit.residual(walk)
-        plain.append(fit.corrected(residual)[0])
+        plain.append(segments_corrected(fit.D, fit.S, fit.R, residual, fit.inside)[0, 0])
         calibrated.append(plain[-1] * calibration(fit, residual, dt)[0])
     exact = 6.0 / (5.0 * n * dt)
     assert np.mean(np.square(slopes)) == pytest.approx(exact, rel=0.35)  # three standard errors
