@@ -30,7 +30,7 @@ LONG_REACH = (LONG + 1) * (len(SPENCER) // 2) + len(EIGHTH_ORDER)  # samples: sm
 
 
 def smooth(x: Series) -> Series:
-    """Fifteen-point Spencer filter, n >= 20; five points in samples 4 to 7 from an end; the outer three stay."""
+    """`smooth_joined` of one manoeuvre."""
     x = namespace(x).asarray(x)
     return smooth_joined(x, *_ends(x))
 
@@ -55,8 +55,9 @@ def differentiate(x: Series, dt: float | Float[AnyArray, ""] | Series) -> Series
 
 
 def smooth_joined(x: Series, first: Index, last: Index) -> Series:
-    """`smooth` of manoeuvres laid end to end; `first` and `last` are the ends of the one that a sample belongs to. One
-    program for any number of manoeuvres of any lengths: cut into pieces, every new length would be compiled."""
+    """Fifteen-point Spencer filter, n >= 20; five points in samples 4 to 7 from an end; the outer three stay."""
+    # Manoeuvres are laid end to end, `first` and `last` the ends of that of each sample. One program for any number of
+    # any lengths: cut into pieces, every new length would be compiled.
     xp, inside = namespace(x), inside_joined(x.shape[0], first, last)
     wide, short = (xp.convolve(x, xp.asarray(kernel), mode="same") for kernel in (SPENCER, SHORT_SMOOTHER))
     return xp.where(inside >= 7, wide, xp.where(inside >= 3, short, x))

@@ -17,6 +17,7 @@ from bayes_aero.inference.covariance import (
     covariance_of,
     jackknife_covariance,
     robust_covariance,
+    segments_corrected,
     stationary_series,
 )
 from bayes_aero.inference.frequency import cramer_rao, solve
