@@ -209,12 +209,9 @@ class Prediction(NamedTuple):
 
     mean: Float[np.ndarray, " n"]  # of a new measurement, as `sd`
     sd: Float[np.ndarray, " n"]
-    latent_sd: Float[np.ndarray, " n"]  # of the function without noise
     levels: tuple[float, ...]  # of the central intervals from `low` to `high`
     low: Float[np.ndarray, "levels n"]
     high: Float[np.ndarray, "levels n"]
-    component_mean: Float[np.ndarray, "draws n"]  # of the Gaussians of the mixture
-    component_sd: Float[np.ndarray, "draws n"]
 
     @classmethod
     def of_mixture(
@@ -224,8 +221,8 @@ class Prediction(NamedTuple):
         noise: Float[np.ndarray, " draws"],
     ) -> Prediction:
         """Equal-weight mixture of Gaussians with `means`, latent variances and noise variances."""
-        between, sds = means.var(axis=0), np.sqrt(latent + noise[:, None])
-        sd = np.sqrt(between + np.mean(sds**2, axis=0))
+        variance = latent + noise[:, None]
+        sds = np.sqrt(variance)
 
         def quantile(probability: float) -> np.ndarray:
             """By bisection: the cdf is monotone and the ends bracket every component's quantile."""
@@ -236,10 +233,8 @@ class Prediction(NamedTuple):
                 low, high = np.where(below, middle, low), np.where(below, high, middle)
             return 0.5 * (low + high)
 
-        tails = [(1.0 - level) / 2.0 for level in LEVELS]
-        low, high = (np.array([quantile(p) for p in ps]) for ps in (tails, [1.0 - tail for tail in tails]))
-        latent_sd = np.sqrt(between + latent.mean(axis=0))
-        return cls(means.mean(axis=0), sd, latent_sd, LEVELS, low, high, means, sds)
+        low, high = (np.array([quantile(0.5 + sign * 0.5 * level) for level in LEVELS]) for sign in (-1.0, 1.0))
+        return cls(means.mean(axis=0), np.sqrt(means.var(axis=0) + variance.mean(axis=0)), LEVELS, low, high)
 
     def coverage(self, measured: Float[np.ndarray, " n"]) -> dict[float, float]:
         """Share of `measured` inside each central interval, by level."""

@@ -404,14 +404,9 @@ MIN_BEYOND = 2.0  # least number of innovations beyond a quantile
 TINY = 1e-12
 
 
-def probability_transform(found: Filtered) -> Float[np.ndarray, "w n c"]:
-    """Probability integral transform Phi(e / sqrt(S)) of every innovation, NaN where nothing was measured."""
-    return norm.cdf(_standardised(found))
-
-
 def one_step(found: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Sequence[str]) -> OneStep:
     """One-step predictions of w filtered segments, from errors (w, n, c), of outputs with two innovations or more."""
-    z, correlation = _standardised(found), neighbour_correlation(found)
+    z, correlation = standardised(found), neighbour_correlation(found)
     columns = [c for c in range(len(outputs)) if np.isfinite(z[..., c]).sum() > 1]
     tests = len(LEVELS) * (len(columns) + (len(columns) > 1))
     by_output = {}
@@ -422,7 +417,8 @@ def one_step(found: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Seque
     return OneStep(by_output, _assess(z[..., columns], None, False, tests))
 
 
-def _standardised(found: Filtered) -> Float[np.ndarray, "w n c"]:
+def standardised(found: Filtered) -> Float[np.ndarray, "w n c"]:
+    """Innovations over their predicted standard deviations, NaN where nothing was measured."""
     z = np.asarray(found.innovation) / np.sqrt(np.asarray(found.variance))
     return np.where(np.asarray(found.used), z, np.nan)
 

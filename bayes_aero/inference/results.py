@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
+from scipy.sparse.csgraph import connected_components
 
 from bayes_aero.arrays import AnyArray
 from bayes_aero.atomic_write import write_whole
@@ -47,20 +48,49 @@ class MleStatus(Enum):
 
 
 @dataclass(frozen=True)
-class MleResult:
-    """A maximum-likelihood fit of k parameters, in SI and radians; arrays follow `parameters`.
+class Estimates:
+    """Estimates of k parameters, in SI and radians; arrays follow `parameters`.
 
     `covariance` (k, k) is that of Cramer and Rao, for white residuals; `corrected` (k, k) counts their autocorrelation
-    over `blocks` blocks of 0.2 s. `R` (3,) are the residual variances of CL, CD, Cm, `eigenvalues` (k,) those of the
-    information matrix scaled to unit diagonal, `separation` the range of X. `fit` and `lag1` are by coefficient,
-    `starts` the cost and status of each start. `active_bounds` are parameters at their bounds, `conflicts` priors that
-    the record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None: not computed.
+    and varying size, and the squared `bias` (k,) from recording noise, which is subtracted from `estimate`; None: not
+    computed.
     """
 
     parameters: tuple[Parameter, ...]
     estimate: Float[np.ndarray, " k"]
     covariance: Float[np.ndarray, "k k"]
     corrected: Float[np.ndarray, "k k"]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their SI units."""
+        return tuple(p.unit for p in self.parameters)
+
+    @property
+    def crb(self) -> Float[np.ndarray, " k"]:
+        """Cramer-Rao standard errors, shape (k,); they assume white residuals."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def crb_corrected(self) -> Float[np.ndarray, " k"]:
+        """Standard errors with the residuals' autocorrelation and varying size, shape (k,)."""
+        return np.sqrt(np.diag(self.corrected))
+
+
+@dataclass(frozen=True)
+class MleResult(Estimates):
+    """A maximum-likelihood fit; `corrected` is over `blocks` blocks of 0.2 s.
+
+    `R` (3,) are the residual variances of CL, CD, Cm, `eigenvalues` (k,) those of the information matrix scaled to unit
+    diagonal, `separation` the range of X. `fit` and `lag1` are by coefficient, `starts` the cost and status of each
+    start. `active_bounds` are parameters at their bounds, `conflicts` priors that the record contradicts.
+    """
+
     R: Float[np.ndarray, " c"]
     status: MleStatus
     iterations: int
@@ -76,29 +106,9 @@ class MleResult:
     bias: Float[np.ndarray, " k"] | None = None
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return tuple(p.name for p in self.parameters)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Their SI units."""
-        return tuple(p.unit for p in self.parameters)
-
-    @property
     def det_R(self) -> float:
         """Determinant of the diagonal residual covariance (order CL, CD, Cm)."""
         return float(np.prod(self.R))
-
-    @property
-    def crb(self) -> Float[np.ndarray, " k"]:
-        """Cramer-Rao standard errors, shape (k,); they assume white residuals."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def crb_corrected(self) -> Float[np.ndarray, " k"]:
-        """Standard errors with the residuals' autocorrelation and varying size (`robust_covariance`), shape (k,)."""
-        return np.sqrt(np.diag(self.corrected))
 
     @property
     def correlation(self) -> Float[np.ndarray, "k k"]:
@@ -231,14 +241,14 @@ def inseparable(
     inside = (shares[:, near].sum(axis=1) > VARIANCE_SHARE) & (np.sqrt(inflation) > MIN_WIDENING)
     # Members are connected by their partial correlations: within a dependency of any size these are near one, and the
     # eigenvectors of equally near dependencies are arbitrary mixtures.
-    members, linked = [int(i) for i in np.argsort(-inflation) if inside[i]], np.abs(partial) > MIN_PARTIAL
-    parts: list[list[int]] = []
-    for i in members:
-        mine = [part for part in parts if any(linked[i, j] for j in part)]
-        parts = [part for part in parts if part not in mine] + [[*(j for part in mine for j in part), i]]
+    members = np.array([i for i in np.argsort(-inflation) if inside[i]], int)
+    if not len(members):
+        return ()
+    _, part = connected_components(np.abs(partial)[np.ix_(members, members)] > MIN_PARTIAL, directed=False)
+    parts = [members[part == number] for number in dict.fromkeys(part)]
     sets = []
-    for own in (sorted(part, key=members.index) for part in parts if len(part) > 1):
-        at = [int(free[i]) for i in own]
+    for own in (part for part in parts if len(part) > 1):
+        at = free[own]
         if any(vague[at]):
             sets.append(
                 Inseparable(
@@ -255,32 +265,19 @@ def inseparable(
 
 
 @dataclass(frozen=True)
-class FrequencyFit:
-    """Estimates in a band, SI and radians."""
+class FrequencyFit(Estimates):
+    """Estimates in a band, of the parameters that it shows; lines have one variance, or each its own (`corrected`)."""
 
     method: str  # equation error or output error
     band: tuple[float, float]  # lowest and highest frequency, Hz
     lines: int  # number of frequencies, of all manoeuvres together
-    names: tuple[str, ...]  # of the parameters that the band shows
-    units: tuple[str, ...]
-    estimate: Float[np.ndarray, " k"]
-    covariance: Float[np.ndarray, "k k"]  # of Cramer and Rao, for residuals of one variance at all lines
-    corrected: Float[np.ndarray, "k k"]  # with the variances of the lines themselves, and the squared bias
     inner: Mapping[str, Float[np.ndarray, "k k"]]  # inner products of the sensitivities by output
     R: Mapping[str, float]  # variance of the residuals by output; white noise has the same at the samples
     unseen: tuple[str, ...]  # free parameters that drop out with bias and drift
     converged: bool
     at_bound: tuple[str, ...] = ()  # parameters that the band would move beyond a bound, and that are held there
-    bias: Float[np.ndarray, " k"] | None = None  # by noise of the regressors, subtracted; None: not computed
+    bias: Float[np.ndarray, " k"] | None = None
     apart: Mapping[str, float] = field(default_factory=dict)  # from the time domain, in standard errors of that
-
-    @property
-    def crb(self) -> Float[np.ndarray, " k"]:
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def crb_corrected(self) -> Float[np.ndarray, " k"]:
-        return np.sqrt(np.diag(self.corrected))
 
 
 @dataclass(frozen=True)
@@ -353,11 +350,6 @@ class Posterior:
         """All draws, shape (m, k): chains one after the other, columns as these `names` (default: all)."""
         posterior = self.tree["posterior"].to_dataset()
         return np.stack([np.asarray(posterior[name]).reshape(-1) for name in names or self.names], axis=1)
-
-    @property
-    def covariance(self) -> Float[np.ndarray, "k k"]:
-        """Posterior covariance of the parameters, shape (k, k)."""
-        return np.cov(self.draws().T)
 
     def most_correlated(self, count: int) -> list[str]:
         """Names, in their order, of the `count` parameters whose largest correlation with another is largest."""

@@ -48,8 +48,8 @@ from bayes_aero.inference.prediction_error import (
     fit_prediction_error,
     innovations_posterior,
     one_step,
-    probability_transform,
     sample_innovations,
+    standardised,
 )
 from bayes_aero.inference.results import Calibration, PosteriorStatus
 from bayes_aero.model.observations import join
@@ -134,7 +134,7 @@ def test_the_transform_is_that_of_a_scalar_filter_by_hand():
         expected.append(norm.cdf((z - x) / np.sqrt(S)))
         errors.append(z - x)
         x, P = phi * (x + K * (z - x)), phi**2 * (1.0 - K) * P + force**2 * (phi**2 - 1.0) / (2.0 * Zalpha)
-    assert probability_transform(found)[0, :, 0] == pytest.approx(np.array(expected), abs=1e-5)
+    assert norm.cdf(standardised(found))[0, :, 0] == pytest.approx(np.array(expected), abs=1e-5)
     away = np.asarray(prediction_errors(flown.nameless, jnp.array([Zalpha]), found))
     assert away[0, :, 0] == pytest.approx(np.array(errors), abs=1e-7)
     told = one_step(found, away, flown.outputs)
@@ -227,7 +227,7 @@ def test_what_counts_in_a_score_and_what_is_too_few():
     kept = z[np.isfinite(z)]
     assert found.outputs["y0"].count == len(kept) == 300
     assert found.outputs["y0"].shares[1].share == np.mean(np.abs(kept) < norm.ppf(0.95))
-    assert np.isnan(probability_transform(innovations(z))[0, 0, 0])
+    assert np.isnan(standardised(innovations(z))[0, 0, 0])
     found = judged(3.0 * white(3, 1, 20, 1))
     assert found.status == "undecided"
     assert found.outputs["y0"].quantiles.shape[1] == 4
