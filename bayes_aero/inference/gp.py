@@ -75,7 +75,7 @@ class SampleStatus(enum.Enum):
 class Budget(NamedTuple):
     """Of the search for the mode and of the sampling, and the seed of both."""
 
-    draws: int = 256  # of a round, a factorisation each
+    draws: int = 192  # of a round, a factorisation each
     rounds: int = 6  # of adaptation, at most
     starts: int = 16  # of the search for the mode
     seed: int = 0
@@ -335,8 +335,6 @@ def fit_gp(
     names = tuple(inputs)
     if len(X) > MAX_SAMPLES:
         raise InputError(too_many(len(X)))
-    if sample and any(q.family == "flat" for q in priors.each):
-        raise InputError("A flat hyperparameter prior is improper: set sample=False or give proper priors.")
     scaling = kernel.Scaling.of(X, y, names)
     data = kernel.ReducedData.of(scaling.inputs(X), y / scaling.rms)
     optima = tuple(kernel.find_map(data, priors, starts=budget.starts, seed=budget.seed))

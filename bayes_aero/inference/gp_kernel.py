@@ -113,47 +113,31 @@ class HyperPrior:
     """Prior of one positive hyperparameter.
 
     half-normal: `a` is the scale. log-normal: `a` is the median, `b` the sd of the logarithm. frechet: `a` is the
-    scale, `b` the shape, P(x < a/c) = exp(-c^b): a steep lower end, a power law above. flat: constant in log x,
-    improper, for benchmarks.
+    scale, `b` the shape, P(x < a/c) = exp(-c^b): a steep lower end, a power law above.
     """
 
-    family: Literal["half-normal", "log-normal", "frechet", "flat"]
+    family: Literal["half-normal", "log-normal", "frechet"]
     a: float = 1.0
     b: float = 1.0
 
-    def __post_init__(self):
-        if not (self.a > 0 and self.b > 0):
-            raise InputError(f"The {self.family} prior needs positive parameters, got a = {self.a}, b = {self.b}.")
-
     def slopes(self, t: Float[AnyArray, "*s"]) -> tuple[Any, Any, Any]:
         """Log density of each t = log x, and its first and second derivatives."""
-        z = self.b * (t - math.log(self.a))
         if self.family == "half-normal":
             x2 = xp.exp(2.0 * t) / self.a**2
             return 0.5 * math.log(2.0 / math.pi) - math.log(self.a) - 0.5 * x2 + t, 1.0 - x2, -2.0 * x2
         if self.family == "log-normal":
-            z = z / self.b**2
+            z = (t - math.log(self.a)) / self.b
             return -0.5 * z**2 - math.log(self.b * math.sqrt(2.0 * math.pi)), -z / self.b, 0.0 * t - self.b**-2.0
-        if self.family == "frechet":
-            y = xp.exp(-z)
-            return math.log(self.b) - z - y, self.b * (y - 1.0), -(self.b**2) * y
-        return 0.0 * t, 0.0 * t, 0.0 * t
-
-    def log_density(self, t: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s"]:
-        """Log density of t = log x."""
-        return self.slopes(t)[0]
+        z = self.b * (t - math.log(self.a))
+        y = xp.exp(-z)
+        return math.log(self.b) - z - y, self.b * (y - 1.0), -(self.b**2) * y
 
     def sample(self, key: Array, shape: tuple[int, ...]) -> Float[Array, "..."]:
         """Draws of t = log x."""
-        if self.family == "flat":
-            raise InputError("A flat hyperparameter prior is improper and cannot be drawn from; give a proper one.")
         if self.family == "frechet":  # the logarithm of a Frechet variable is a Gumbel one
             return math.log(self.a) + jax.random.gumbel(key, shape) / self.b
         normal = jax.random.normal(key, shape)
         return jnp.log(self.a * jnp.abs(normal)) if self.family == "half-normal" else math.log(self.a) + self.b * normal
-
-
-FLAT = HyperPrior("flat")  # constant in the logarithm: the paper's and scikit-learn's silent choice
 
 
 @dataclass(frozen=True)
@@ -169,11 +153,6 @@ class Priors:
     signal: HyperPrior = HyperPrior("half-normal")
     length: HyperPrior = HyperPrior("log-normal")
     noise: HyperPrior = HyperPrior("log-normal", 0.1)
-
-    @classmethod
-    def flat(cls) -> Priors:
-        """No prior at all: maximum marginal likelihood. Improper, so it can be optimised but not sampled."""
-        return cls(FLAT, FLAT, FLAT, FLAT, FLAT)
 
     @classmethod
     def quasi_steady(cls) -> Priors:
@@ -198,10 +177,6 @@ class Priors:
         pieces = lib.split(theta, [1, d + 1, d + 2, 2 * d + 2])
         values, slopes, bends = zip(*(q.slopes(t) for q, t in zip(self.each, pieces, strict=True)), strict=True)
         return sum(v.sum() for v in values), lib.concatenate(slopes), lib.concatenate(bends)
-
-    def log_density(self, theta: Float[AnyArray, " p"]) -> Float[AnyArray, ""]:
-        """log q(theta)."""
-        return self.slopes(theta)[0]
 
     def sample(self, key: Array, d: int, draws: int) -> Float[Array, "draws p"]:
         """Draws of theta."""
@@ -408,13 +383,10 @@ def maximise(
 
 
 def starting_points(priors: Priors, d: int, count: int, seed: int) -> Float[np.ndarray, "starts u"]:
-    """`count` starts in u: three fixed ones, the rest from the prior (that of `Priors()` where it is flat)."""
-    length, noise = (
-        q if q.family != "flat" else usual for q, usual in zip(priors.each[3:], Priors().each[3:], strict=True)
-    )
+    """`count` starts in u: three fixed ones, the rest from the prior."""
     fixed = np.array([[0.0] * d + [-3.0], [1.0] * d + [-3.0], [-1.0] * d + [-1.0]])
     keys = jax.random.split(jax.random.PRNGKey(seed))
-    drawn = np.hstack([length.sample(keys[0], (count, d)), 2.0 * noise.sample(keys[1], (count, 1))])
+    drawn = np.hstack([priors.length.sample(keys[0], (count, d)), 2.0 * priors.noise.sample(keys[1], (count, 1))])
     return np.concatenate([fixed, drawn])[:count]
 
 

@@ -330,8 +330,6 @@ def as_on_card(parameter: Parameter, card: Card) -> Parameter:
 
 # --- A user's own effects: Python files that a card names.
 
-MAX_BYTES = 1 << 20
-
 
 def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
     """Every `Effect` at the top level of `files`, by name."""
@@ -340,15 +338,11 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
     effects: dict[str, Effect] = {}
     for path in files:
         try:
-            if not path.is_file():
-                raise FileNotFoundError("there is no such file")
-            with path.open("rb") as handle:
-                raw = handle.read(MAX_BYTES + 1)
-            if len(raw) > MAX_BYTES:
-                raise ValueError(f"it has more than {MAX_BYTES} bytes")
-            text = raw.decode("utf-8")
+            text = path.read_text(encoding="utf-8") if path.is_file() else None
         except (OSError, ValueError) as error:
             raise InputError(f"effect file {path} cannot be read ({error}); mend the path on the card") from None
+        if text is None:
+            raise InputError(f"there is no effect file {path}; mend the path on the card")
         for effect in _run(path, text):
             if effect.name in CATALOGUE or effect.name in effects:
                 raise InputError(f"effect file {path}: the name {effect.name} is taken; give the effect another one")

@@ -321,9 +321,9 @@ TOLERANCE = {"ftol": 1e-9, "gtol": 1e-4}  # relative change and gradient at whic
 
 def our_process(problem: Problem, size: int, _: argparse.Namespace) -> Fitting:
     """`maximise`, which searches five directions and finds the other six in closed reach."""
-    from bayes_aero.inference.gp_kernel import Priors, ReducedData, maximise, noise_to_signal
+    from bayes_aero.inference.gp_kernel import HyperPrior, Priors, ReducedData, maximise, noise_to_signal
 
-    data, flat = ReducedData.of(*problem.processes[size]), Priors.flat()
+    data, flat = ReducedData.of(*problem.processes[size]), Priors(*5 * [HyperPrior("log-normal", 1.0, 1e6)])
     return lambda _: maximise(noise_to_signal(START), data, flat, w=START[:6].copy(), max_iterations=200).theta
 
 
