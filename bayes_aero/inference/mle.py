@@ -125,8 +125,7 @@ def fit_mle(
     rng, data = np.random.default_rng(seed), data_of(model, observations)
     starts = [np.array([p.start for p in model.free]) if start is None else np.asarray(start, float)]
     for _ in range(extra_starts):
-        draw = [float(p.prior.sample(rng, 1)[0]) for p in model.free]
-        starts.append(np.array([np.clip(x, *p.bounds) for x, p in zip(draw, model.free, strict=True)]))
+        starts.append(np.array([np.clip(float(p.prior.sample(rng, 1)[0]), *p.bounds) for p in model.free]))
     runs = [(run, run.outcome(data)) for run in (descend(model, observations, s) for s in starts)]
     regular = [run for run, outcome in runs if outcome != "degenerate"]
     usable = [run for run, outcome in runs if outcome == "converged"] or regular or [run for run, _ in runs]
@@ -225,10 +224,8 @@ def without_noise_bias(
     sizes = [{name: noise_of(x) for name, x in record.channels.items()} for record in records]
 
     def draw() -> list[dict[str, np.ndarray]]:
-        return [
-            {name: sd * rng.standard_normal(record.n) for name, sd in of_record.items() if sd > 0.0}
-            for record, of_record in zip(records, sizes, strict=True)
-        ]
+        pairs = zip(records, sizes, strict=True)
+        return [{n: sd * rng.standard_normal(r.n) for n, sd in noise.items() if sd > 0.0} for r, noise in pairs]
 
     def refit(noise: list[dict[str, np.ndarray]], sign: float) -> np.ndarray | None:
         noisier = [
@@ -307,8 +304,8 @@ def full_steps(
     # Their last steps shrink by a constant factor, which Anderson acceleration estimates (Walker and Ni 2011, SIAM J.
     # Numer. Anal. 49, 1715).
     arguments = map(jnp.asarray, (start, lower, upper, tolerance, max_steps))  # none static: one compilation
-    theta, cost, R, information, gradient, steps = map(np.asarray, _full_steps(data, *arguments))
-    return GaussNewtonPoint(theta, float(cost), R, information, gradient, int(steps))
+    theta, cost, *rest, steps = map(np.asarray, _full_steps(data, *arguments))
+    return GaussNewtonPoint(theta, float(cost), *rest, int(steps))
 
 
 @eqx.filter_jit
@@ -392,21 +389,20 @@ def active_bounds(
     gradient: Vector,
     inverse: Square,
     deviation: Vector,
-    active: Sequence[bool] | np.ndarray,
+    active: np.ndarray,
 ) -> tuple[ActiveBound, ...]:
     """Effect of each active bound on the estimates."""
     # `gradient` of the log-likelihood: zero except for the active parameters. `inverse` of the information, active
     # parameters included. `deviation`: corrected standard errors.
-    found = []
+    bounds = []
     for i in map(int, np.flatnonzero(active)):
         step = inverse[:, i] * gradient[i]
-        if not np.isfinite(step).all():
-            step = np.zeros_like(step)
+        step = step if np.isfinite(step).all() else np.zeros_like(step)
         moves = {p.name: float(step[j] / deviation[j]) for j, p in enumerate(parameters) if j != i and deviation[j] > 0}
         shifts = sorted(((n, x) for n, x in moves.items() if abs(x) > MIN_SHIFT), key=lambda item: -abs(item[1]))
         p, lower, free = parameters[i], bool(gradient[i] < 0.0), float(estimate[i] + step[i])
-        found.append(ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
-    return tuple(found)
+        bounds.append(ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
+    return tuple(bounds)
 
 
 # --- How far the published way of forming coefficients moves their parameters.
@@ -457,15 +453,14 @@ def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str
     low, high = np.quantile(np.asarray(signals["alpha_dot"]), RATE_SHARES)
     rates = np.array([min(low, 0.0), 0.0, max(high, 0.0)])
     reference = conditions(signals)
-    held = {name: jnp.asarray(value) for name, value in reference.items()}
-    flows = _flows(model, jnp.asarray(thin), jnp.asarray(alpha), jnp.asarray(rates), held, aircraft)
+    given = jax.tree.map(jnp.asarray, (thin, alpha, rates, dict(reference)))
+    flows = _flows(model, *given, aircraft)
     X, CL, CD = (np.asarray(flows[name]) for name in ("X", "CL", "CD"))  # (m, rates, angles)
-    steady, drag = CL[:, 1], CD[:, 1]
-    peak, place, edge = maxima(alpha, steady)
+    peak, place, edge = maxima(alpha, CL[:, 1])
     return Stall(
         alpha=alpha,
-        CL=np.quantile(steady, QUANTILES, axis=0),
-        CD=np.quantile(drag, QUANTILES, axis=0),
+        CL=np.quantile(CL[:, 1], QUANTILES, axis=0),
+        CD=np.quantile(CD[:, 1], QUANTILES, axis=0),
         rates=rates,
         X=np.moveaxis(np.quantile(X, QUANTILES, axis=0), 0, 1),
         CL_max=Interval.of(peak),
@@ -486,16 +481,13 @@ def stall_of_run(run: Identification) -> Stall | None:
 
 def maxima(x: Float[np.ndarray, " g"], y: Float[np.ndarray, "m g"]):
     """Maximum of every row, its position (by a parabola through three even points), and whether it is at an edge."""
-    i = np.argmax(y, axis=1)
-    edge = (i == 0) | (i == len(x) - 1)
-    j = np.clip(i, 1, len(x) - 2)
-    rows = np.arange(len(y))
+    rows, i = np.arange(len(y)), np.argmax(y, axis=1)
+    edge, j = (i == 0) | (i == len(x) - 1), np.clip(i, 1, len(x) - 2)
     before, here, after = y[rows, j - 1], y[rows, j], y[rows, j + 1]
-    bend = np.where(edge, -1.0, before - 2.0 * here + after)
-    shift = np.where(edge | (bend >= 0.0), 0.0, 0.5 * (before - after) / np.where(bend < 0.0, bend, -1.0))
-    step = x[1] - x[0]
+    bend = before - 2.0 * here + after
+    shift = np.divide(0.5 * (before - after), bend, out=np.zeros(len(y)), where=~edge & (bend < 0.0))
     peak = np.where(edge, y[rows, i], here - 0.25 * (before - after) * shift)
-    return peak, np.where(edge, x[i], x[j] + shift * step), edge
+    return peak, np.where(edge, x[i], x[j] + shift * (x[1] - x[0])), edge
 
 
 @eqx.filter_jit

@@ -293,8 +293,7 @@ def fit_disturbed(
 # (`knee`).
 
 ENGINES = ("emcee", "nuts")  # the faster one first
-KNEE_OF_PROCESS, KNEE_OF_MEASUREMENT = 0.5, 0.03  # of the median, see `Parameter.knee`
-KNEE_OF_INTENSITY = 0.05  # of the prior's width
+KNEE_OF_INTENSITY = 0.05  # of the prior's width, see `Parameter.knee`; those of noises are of the median
 SPREAD = 2.0  # standard deviation of the logarithm of a process or measurement noise: a factor of 50 either way, 95 %
 
 
@@ -311,21 +310,20 @@ class InnovationsDensity(LogDensity):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        dynamics = self.flown.dynamics
-        motion = []
+        dynamics, motion = self.flown.dynamics, []
         for p in dynamics.free:
             intensity = p.name in dynamics.disturbance_parameters and p.prior.family == "halfnormal"
             motion.append(p.changed(knee=KNEE_OF_INTENSITY * p.prior.scale) if intensity else p)  # it may reach zero
-        process = [
-            _noise(f"F_{name}", f"process noise of {name}, in its unit per square root of a second", x, KNEE_OF_PROCESS)
-            for name, x in zip(dynamics.states, self.process, strict=True)
-            if x > 0.0
-        ]
-        measurement = [
-            _noise(f"sigma_{name}", f"standard deviation of the noise of {name}", x, KNEE_OF_MEASUREMENT)
-            for name, x in zip(self.flown.outputs, self.measurement, strict=True)
-        ]
-        return (*motion, *process, *measurement)
+        for kind, text, names, medians, knee in (
+            ("F", "process noise of {}, in its unit per square root of a second", dynamics.states, self.process, 0.5),
+            ("sigma", "standard deviation of the noise of {}", self.flown.outputs, self.measurement, 0.03),
+        ):
+            for name, x in zip(names, medians, strict=True):
+                if x > 0.0:
+                    prior = Prior("lognormal", x, SPREAD, "weak, about output error's residuals; our choice")
+                    label = f"{kind}_{name}", "SI", 0.0, x, text.format(name)
+                    motion.append(Parameter(*label, prior, (0.0, np.inf), knee=knee * x))
+        return tuple(motion)
 
     @property
     def disturbed(self) -> Int[np.ndarray, " f"]:
@@ -343,11 +341,6 @@ class InnovationsDensity(LogDensity):
         F = np.maximum(fit.F, least * np.array(self.process))[self.disturbed]
         free = zip(fit.estimate, self.flown.dynamics.free, strict=True)
         return np.array([*(inside(value, p.bounds) for value, p in free), *F, *np.sqrt(fit.R)])
-
-
-def _noise(name: str, text: str, median: float, knee: float) -> Parameter:
-    prior = Prior("lognormal", median, SPREAD, "weak, about output error's residuals; our choice")
-    return Parameter(name, "SI", 0.0, median, text, prior, (0.0, np.inf), knee=knee * median)
 
 
 class PosteriorLength(NamedTuple):
@@ -455,8 +448,8 @@ def _assess(z: Float[np.ndarray, "w n c"], rms: float | None, coloured: bool, te
     )  # fmt: skip
     # Quantiles: order statistics of as many uniform values as there are independent innovations (Bonferroni).
     scores, rows = NORMAL_SCORES[n * norm.sf(np.abs(NORMAL_SCORES)) >= MIN_BEYOND], []
-    tail, probabilities = 0.5 * SIGNIFICANCE / max(len(scores), 1), norm.cdf(scores)
-    for normal_score, value, q in zip(scores, np.quantile(z[used], probabilities), probabilities, strict=True):
+    tail, q_of = 0.5 * SIGNIFICANCE / max(len(scores), 1), norm.cdf(scores)
+    for normal_score, value, q in zip(scores, np.quantile(z[used], q_of), q_of, strict=True):
         below = used & (z <= value)
         alone = n / (_inflation(np.where(used, below - below.sum() / n, 0.0), used) or 1.0)
         band = beta.ppf([tail, 1.0 - tail], q * (alone + 1.0), (1.0 - q) * (alone + 1.0))
