@@ -263,7 +263,7 @@ def frequency_responses(flights: Flights, dynamics: LinearDynamics, fit: Frequen
     terms: dict[tuple[int, str], list[tuple[str, float]]] = {}  # what a parameter multiplies: no state, no constant
     for i, (_, row) in enumerate(dynamics.rows.rows):
         for term in row:
-            if term.channel != ONE and term.channel not in dynamics.states:
+            if term.channel not in (ONE, *dynamics.states):
                 terms.setdefault((i, term.parameter), []).append((term.channel, term.factor))
     whole = dict.fromkeys(tuple(sorted(one)) for one in terms.values())
     inputs = list(dict.fromkeys(((one[0][0], 1.0),) if len(one) == 1 else one for one in whole))

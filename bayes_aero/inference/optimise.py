@@ -40,15 +40,12 @@ class Problem:
     `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
     """
 
+    cost: Callable[[Vector], float]
+    evaluate: Callable[[Vector], Evaluation]
+
     def __init__(self, bounds: Limits, moving: Bool[np.ndarray, " k"] | None = None) -> None:
         self.bounds, self.step_limit = bounds, np.full(len(bounds), np.inf)
         self.moving = np.ones(len(bounds), bool) if moving is None else moving
-
-    def cost(self, point: Vector) -> float:
-        raise NotImplementedError
-
-    def evaluate(self, point: Vector) -> Evaluation:
-        raise NotImplementedError
 
 
 class Rule(NamedTuple):

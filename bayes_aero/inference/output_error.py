@@ -51,8 +51,7 @@ INITIAL_STATE_SD = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "a
 )
 """Standard deviation of the measured initial state, SI: the accuracy of flight-test sensors; our choice."""
 SD_BY_UNIT = {"m/s": 1.0, "m": 3.0}  # of states with another name, by unit: else 0.05
-TINY = 1e-300
-MAX_GRAM = 1e100  # inner products beyond this: the motion is not unique
+TINY, MAX_GRAM = 1e-300, 1e100  # least variance; inner products beyond which the motion is not unique
 REGULARISATION = 1e-12  # added to a diagonal, relative: above rounding, below the information of any record
 ENVELOPE_PENALTY = 1e6  # cost of a trajectory that is wholly outside the envelope: worse than any inside
 
@@ -492,7 +491,7 @@ def fit_output_error(
 
 def fit_cascade(
     stages: Sequence[SegmentTrajectories],
-    starts: Sequence[Float[np.ndarray, " k"]],
+    starts: Sequence[Vector],
     *,
     held: Mapping[str, float] | None = None,
     prior_weight: float = 1.0,
@@ -501,12 +500,13 @@ def fit_cascade(
     """Fit the short windows of the first stage from every start, then each later stage from the best fit so far."""
     # Short windows keep the simulation near the record where the aircraft is unstable or the start is poor, but hide
     # slow errors of the model. The last stage should therefore be whole manoeuvres.
-    options = {"held": held, "prior_weight": prior_weight, "without": without}
-    first = [fit_output_error(stages[0], start=s, max_iterations=MAX_EARLY_ITERATIONS, **options) for s in starts]
-    best = min(first, key=lambda found: (found.status is OutputErrorStatus.LEFT_ENVELOPE, found.cost))
-    for number, stage in enumerate(stages[1:], start=2):
-        max_iterations = MAX_ITERATIONS if number == len(stages) else MAX_EARLY_ITERATIONS
-        best = fit_output_error(stage, start=best.estimate, max_iterations=max_iterations, **options)
+    best = None
+    for number, stage in enumerate(stages, start=1):
+        steps = MAX_ITERATIONS if 1 < number == len(stages) else MAX_EARLY_ITERATIONS
+        options: Any = {"held": held, "prior_weight": prior_weight, "without": without, "max_iterations": steps}
+        fits = [fit_output_error(stage, start=s, **options) for s in (starts if best is None else [best.estimate])]
+        best = min(fits, key=lambda fit: (fit.status is OutputErrorStatus.LEFT_ENVELOPE, fit.cost))
+    assert best is not None
     return best
 
 

@@ -79,20 +79,13 @@ def _value_and_gradient(density: LogDensity, u: Float[Array, " k"]):
     return jax.value_and_grad(type(density).__call__, argnums=1)(density, u)
 
 
-@dataclass
 class _Point:
     """A point of a density, with the log-density and its gradient there."""
 
-    density: LogDensity
-    u: np.ndarray
-
-    def __post_init__(self) -> None:
-        value, slope = _value_and_gradient(self.density, jnp.asarray(self.u))
-        self.value, self.slope = float(value), np.asarray(slope)
-
-    @property
-    def usable(self) -> bool:
-        return bool(np.isfinite(self.value) and np.isfinite(self.slope).all())
+    def __init__(self, density: LogDensity, u: np.ndarray) -> None:
+        value, slope = _value_and_gradient(density, jnp.asarray(u))
+        self.density, self.u, self.value, self.slope = density, u, float(value), np.asarray(slope)
+        self.usable = bool(np.isfinite(self.value) and np.isfinite(self.slope).all())
 
     def factor(self, step: np.ndarray) -> tuple[np.ndarray, bool]:
         """Lower Cholesky factor of |H|^-1 with the negative Hessian H; true if H is positive definite."""
@@ -115,13 +108,12 @@ class _Point:
         return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(finite.all() and eigenvalues[0] > floor)
 
     def climb(self, factor: np.ndarray) -> _Point:
-
         def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
             at = _Point(self.density, self.u + factor @ v)
             return (-at.value, -factor.T @ at.slope) if at.usable else (1e300, np.zeros(len(v)))
 
-        begin = np.zeros(len(self.u))
-        climbed = optimize.minimize(negative, begin, jac=True, method="L-BFGS-B", options={"maxiter": 200})
+        options, begin = {"maxiter": 200}, np.zeros(len(self.u))
+        climbed = optimize.minimize(negative, begin, jac=True, method="L-BFGS-B", options=options)
         return _Point(self.density, self.u + factor @ climbed.x)
 
 
@@ -381,18 +373,15 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
     # The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
     # thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
     # samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
-    names, draws = density.names, drawn.x
-    groups: dict[str, dict[str, np.ndarray]] = {"posterior": {name: draws[..., i] for i, name in enumerate(names)}}
-    if drawn.stats:
-        groups["sample_stats"] = dict(drawn.stats)
-    rng = np.random.default_rng(seed)
+    names, draws, rng = density.names, drawn.x, np.random.default_rng(seed)
     prior = density.sample_prior(rng, 1000)
+    groups: dict[str, Any] = {"posterior": {name: draws[..., i] for i, name in enumerate(names)}}
+    groups |= {"sample_stats": dict(drawn.stats)} if drawn.stats else {}
     groups["prior"] = {name: prior[None, :, i] for i, name in enumerate(names)}
     dims: dict[str, list[str]] = {}
     if predictive and isinstance(density, Density):
         (chains, length, size), outputs, n = draws.shape, density.model.coefficients, density.observations.n
-        most = PREDICTIVE_VALUES // (len(outputs) * chains * n)
-        kept = min(PREDICTIVE_DRAWS, length, max(2, most))
+        kept = min(PREDICTIVE_DRAWS, length, max(2, PREDICTIVE_VALUES // (len(outputs) * chains * n)))
         thin = np.linspace(0, length - 1, kept).astype(int)
         white = jnp.asarray(rng.standard_normal((chains * kept, n, len(outputs))))
         loglik, replicated = _predictive(density, jnp.asarray(draws[:, thin].reshape(-1, size)), white)
@@ -402,8 +391,7 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
             leading = (1, chains * kept) if group == "prior_predictive" else (chains, kept)
             array = np.asarray(values, np.float32).reshape(*leading, n, len(outputs))
             groups[group] = {name: array[..., i] for i, name in enumerate(outputs)}
-        measured = np.asarray(density.observations.measured)
-        groups["observed_data"] = {name: measured[:, i] for i, name in enumerate(outputs)}
+        groups["observed_data"] = dict(zip(outputs, np.asarray(density.observations.measured).T, strict=True))
         dims = {name: ["instant"] for name in outputs}
     tree = azb.from_dict(groups, dims=dims)
     tree.attrs |= {"engine": drawn.engine, "noise": density.noise_label, "seed": seed}
@@ -411,8 +399,8 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
         for group in ("posterior", "prior"):
             tree[group][parameter.name].attrs["units"] = parameter.unit
     marginals = drawn.marginals or diagnose(draws, names)
-    status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
-    status = PosteriorStatus.DIVERGENT if drawn.divergent else status
+    reached = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
+    status = PosteriorStatus.DIVERGENT if drawn.divergent else reached
     return Posterior(drawn.engine, density.noise_label, names, tree, marginals, status, seconds)
 
 
@@ -538,17 +526,17 @@ def pit_of(run: Identification) -> PitResult | None:
     return PitResult(engine, values, bars, correlation)
 
 
-def pit(density: Density, x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n c"]:
-    """Posterior probability of less than what was measured, from draws `x` as rows; by sample and coefficient."""
-    kept = x[np.linspace(0, len(x) - 1, min(len(x), PIT_DRAWS)).astype(int)]
-    return np.asarray(_mean_probability(density, jnp.asarray(kept)))
-
-
 @eqx.filter_jit
 def _mean_probability(density: Density, x: Float[Array, "m k"]) -> Float[Array, "n c"]:
     # Noise is normal given the parameters, so each draw's probability is exact and their mean has no steps of 1/m.
     add = lambda total, row: (total + ndtr(density.standardised(row)), None)  # noqa: E731
     return jax.lax.scan(add, jnp.zeros_like(density.observations.measured), x)[0] / len(x)
+
+
+def pit(density: Density, x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n c"]:
+    """Posterior probability of less than what was measured, from draws `x` as rows; by sample and coefficient."""
+    kept = x[np.linspace(0, len(x) - 1, min(len(x), PIT_DRAWS)).astype(int)]
+    return np.asarray(_mean_probability(density, jnp.asarray(kept)))
 
 
 def histogram(values: Float[np.ndarray, " n"]) -> Histogram:
@@ -590,13 +578,10 @@ def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame
     # about 0.01 for some thousand draws.
     tree = posterior.tree["posterior"].to_dataset()
     step = max(1, tree.sizes["chain"] * tree.sizes["draw"] // PRIOR_SENSITIVITY_DRAWS)
-    x = np.stack([np.asarray(tree[name])[:, ::step] for name in density.names], axis=-1)
-    prior, likelihood = (np.asarray(values) for values in _prior_and_likelihood(density, jnp.asarray(x)))
-    groups = {
-        "posterior": {name: x[..., i] for i, name in enumerate(density.names)},
-        "log_prior": {"all": prior},
-        "log_likelihood": {"all": likelihood},
-    }
+    draws = {name: np.asarray(tree[name])[:, ::step] for name in density.names}
+    terms = _prior_and_likelihood(density, jnp.asarray(np.stack(list(draws.values()), axis=-1)))
+    groups: dict[str, Any] = {"posterior": draws}
+    groups |= {f"log_{part}": {"all": np.asarray(x)} for part, x in zip(("prior", "likelihood"), terms, strict=True)}
     both = azb.from_dict(groups)
     sensitivity = {part: azs.psense(both, group=part) for part in ("prior", "likelihood")}
     rows = {name: {part: float(sensitivity[part][name]) for part in sensitivity} for name in density.names}
