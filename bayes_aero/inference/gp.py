@@ -23,7 +23,7 @@ from arviz_stats.base import array_stats
 from jaxtyping import Float, Int
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp, ndtr
 
 from bayes_aero.errors import InputError
@@ -57,13 +57,9 @@ class SampleStatus(enum.Enum):
 
     accepted = "The re-weighted draws represent the exact posterior of the hyperparameters."
     not_sampled = "Only the most probable hyperparameters were asked for; set sample=True for their posterior."
-    pareto_k = (
-        "Refused: Pareto k is too large, so the proposal misses part of the exact posterior. "
-        "Use the MAP, allow more rounds or draws, or give stronger hyperparameter priors."
-    )
-    few_effective = (
-        "Refused: a few draws carry most of the weight, so the proposal sits beside the exact posterior. "
-        "Use the MAP, allow more rounds or draws, or give stronger hyperparameter priors."
+    uneven_weights = (
+        "Refused: a few draws carry most of the weight (Pareto k, effective sample size), so the proposal misses part "
+        "of the exact posterior. Use the MAP, allow more rounds or draws, or give stronger hyperparameter priors."
     )
     not_positive_definite = (
         "Refused: the exact covariance could not be factorised at some draws. "
@@ -132,10 +128,8 @@ def sample_posterior(
             theta[i], exact[i] = thetas[at], density[at]
         log_weight, k_hat = pareto_smooth(ratio)
         ess = float(np.exp(-np.asarray(logsumexp(2.0 * log_weight))))
-        if status is SampleStatus.accepted and k_hat > K_LIMIT:
-            status = SampleStatus.pareto_k
-        elif status is SampleStatus.accepted and ess < ESS_SHARE * len(us):
-            status = SampleStatus.few_effective
+        if status is SampleStatus.accepted and (k_hat > K_LIMIT or ess < ESS_SHARE * len(us)):
+            status = SampleStatus.uneven_weights
         if status is SampleStatus.accepted or number == budget.rounds - 1:
             return Weighted(theta, exact, log_weight, k_hat, ess, status)
         share = np.exp(log_weight)  # of the posterior, as far as this round has found it
@@ -247,25 +241,18 @@ def gaussian_parts(
     theta: kernel.Theta, data: kernel.ReducedData, x_new: Float[np.ndarray, "k d"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Mean and variance of the latent function at scaled inputs x_new (k, d), in scaled output units."""
-    # With R, F, D of `gp_kernel`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
-    # Williams 2006, eq. 2.42) with a proper prior D on the basis. One factorisation and one triangular solve.
-    d, factor = data.x.shape[1], kernel.factorise(kernel.noise_to_signal(theta), data)
-    if factor is None:
-        raise np.linalg.LinAlgError("covariance not positive definite at an accepted draw")
-    lower, v = factor
-    length, sf2 = np.exp(theta[d + 2 : 2 * d + 2]), np.exp(2.0 * theta[d + 1])
-    root = np.exp(theta[: d + 1] - theta[d + 1])
-    basis = data.fy[:, : d + 1] * root
-    v_basis, v_y = v[:, : d + 1] * root, v[:, d + 1]
-    inner = (cholesky(np.eye(d + 1) + basis.T @ v_basis, lower=True), True)
-    weight = cho_solve(inner, basis.T @ v_y)  # posterior mean of the basis weights, in units of root
-    cross = kernel.scaled_distance_kernel(data.x / length, x_new / length)  # (n, k)
-    new = np.column_stack([np.ones(len(x_new)), x_new]) * root
-    mean = new @ weight + cross.T @ (v_y - v_basis @ weight)
-    extra = solve_triangular(inner[0], (new - cross.T @ v_basis).T, lower=True)
-    half = solve_triangular(lower, cross, lower=True, check_finite=False)
-    variance = 1.0 - np.einsum("ij,ij->j", half, half) + np.einsum("ij,ij->j", extra, extra)
-    return mean, sf2 * np.maximum(variance, 0.0)
+    d, e = data.x.shape[1], np.exp(theta)
+    length, slope, sf2 = e[d + 2 : 2 * d + 2], e[1 : d + 1] ** 2, e[d + 1] ** 2
+
+    def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return e[0] ** 2 + (a * slope) @ b.T + sf2 * kernel.scaled_distance_kernel(a / length, b / length)
+
+    K = covariance(data.x, data.x)
+    K[np.diag_indices_from(K)] += e[-1] ** 2
+    lower, cross = cholesky(K, lower=True, overwrite_a=True, check_finite=False), covariance(data.x, x_new)
+    half, weight = (solve_triangular(lower, b, lower=True, check_finite=False) for b in (cross, data.fy[:, d + 1]))
+    variance = e[0] ** 2 + x_new**2 @ slope + sf2 - np.einsum("ij,ij->j", half, half)
+    return half.T @ weight, np.maximum(variance, 0.0)
 
 
 # --- The fit.
@@ -301,12 +288,10 @@ class GPFit:
 
     def predict(self, X_new: Matrix, *, draws: int = 24) -> Prediction:
         """Predictive distribution at X_new (k, d), physical units, over `draws` of the posterior or at the MAP."""
-        X_new = np.asarray(X_new, float)
-        if X_new.ndim != 2 or X_new.shape[1] != len(self.input_names) or not np.all(np.isfinite(X_new)):
-            raise InputError(
-                f"Inputs to predict at must be finite, (k, {len(self.input_names)}) for "
-                f"{', '.join(self.input_names)}; got shape {X_new.shape}."
-            )
+        X_new, d = np.asarray(X_new, float), len(self.input_names)
+        if X_new.ndim != 2 or X_new.shape[1] != d or not np.all(np.isfinite(X_new)):
+            shape = f"(k, {d}) for {', '.join(self.input_names)}; got shape {X_new.shape}"
+            raise InputError(f"Inputs to predict at must be finite, {shape}.")
         thetas = self.optima[0].theta[None]
         if self.draws is not None:
             count = min(draws, len(self.draws))

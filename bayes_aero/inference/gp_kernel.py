@@ -228,30 +228,20 @@ class ExactPoint(NamedTuple):
         return math.isfinite(self.logdet)
 
 
-def factorise(
-    u: LengthsAndNoise, data: ReducedData, se: Float[np.ndarray, "n n"] | None = None
-) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n m"]] | None:
-    """Lower Cholesky factor of R at u = (log l, log g), and R^-1 [F y]; None if R has none. `se`: SE(l), if known."""
-    d = data.x.shape[1]
-    x = data.x / np.exp(u[:d])
-    r = scaled_distance_kernel(x, x) if se is None else se.copy()
-    np.fill_diagonal(r, 1.0 + np.exp(u[d]))
-    # r is symmetric and C-ordered, so its transpose is the Fortran array that LAPACK overwrites without a copy.
-    lower, info = dpotrf(r.T, lower=1, clean=1, overwrite_a=1)
-    return None if info != 0 else (lower, dpotrs(lower, data.fy, lower=1)[0])
-
-
 def exact_point(u: LengthsAndNoise, data: ReducedData, *, slopes: bool = True) -> ExactPoint:
     """The exact statistics at u: one factorisation, and one inversion for their `slopes`."""
     d, m = data.x.shape[1], data.fy.shape[1]
     d_logdet, d_gram = np.full(d + 1, np.nan), np.full((d + 1, m, m), np.nan)
     with blas_threads(data.n):
         x, g = data.x / np.exp(u[:d]), float(np.exp(u[d]))
-        se = scaled_distance_kernel(x, x) if slopes else None
-        factor = factorise(u, data, se)
-        if factor is None:
+        r = scaled_distance_kernel(x, x)
+        se = r.copy() if slopes else None
+        np.fill_diagonal(r, 1.0 + g)
+        # r is symmetric and C-ordered, so its transpose is the Fortran array that LAPACK overwrites without a copy.
+        lower, info = dpotrf(r.T, lower=1, clean=1, overwrite_a=1)
+        if info != 0:
             return ExactPoint(u, math.nan, np.full((m, m), np.nan), d_logdet, d_gram)
-        lower, v = factor
+        v = dpotrs(lower, data.fy, lower=1)[0]
         gram, logdet = data.fy.T @ v, 2.0 * float(np.sum(np.log(np.diagonal(lower))))
         if se is not None:
             xv = [x[:, [k]] * v for k in range(d)]
@@ -493,12 +483,6 @@ def slopes(w: Float[np.ndarray, " k"], point: ExactPoint, n: int, priors: Priors
     by_gram[:m, m] = e * z
     by_gram[m, m] = -0.5 * e
     return Slopes(float(value), by_theta, first, second, by_gram)
-
-
-def log_posterior(theta: Theta, data: ReducedData, priors: Priors) -> tuple[float, ExactPoint]:
-    """log q(theta) + log p(y | theta) at all n points, NaN where K is not positive definite; and the statistics."""
-    point = exact_point(noise_to_signal(theta), data, slopes=False)
-    return density_at(theta, point, data.n, priors), point
 
 
 def density_at(theta: Theta, point: ExactPoint, n: int, priors: Priors) -> float:

@@ -36,9 +36,9 @@ from bayes_aero.inference.gp_kernel import (
     ProfilePosterior,
     ReducedData,
     best_sizes,
+    density_at,
     exact_point,
     find_map,
-    log_posterior,
     maximise,
     noise_to_signal,
     slopes,
@@ -52,6 +52,12 @@ def covariance(theta, x):
     distance = (((x[:, None] - x) / e[d + 2 : 2 * d + 2]) ** 2).sum(axis=-1)
     k = e[0] ** 2 + (x * e[1 : d + 1] ** 2) @ x.T + e[d + 1] ** 2 * jnp.exp(-0.5 * distance)
     return k + e[-1] ** 2 * jnp.eye(len(x))
+
+
+def log_posterior(theta, data, priors):
+    """log q(theta) + log p(y | theta) at all points; and the exact statistics."""
+    point = exact_point(noise_to_signal(theta), data, slopes=False)
+    return density_at(theta, point, data.n, priors), point
 
 
 @pytest.fixture
@@ -265,7 +271,7 @@ def test_a_proposal_that_sits_beside_the_posterior_is_refused_or_moved_there(cas
     data, best, sampled = case
     beside = best._replace(theta=best.theta + np.array([0.0, 0.0, 0.0, 2.0, 1.0]))
     once = sample_posterior(beside, data, Priors(), budget=Budget(rounds=1, seed=1))
-    assert once.status in (SampleStatus.pareto_k, SampleStatus.few_effective)
+    assert once.status is SampleStatus.uneven_weights
     assert "Refused" in once.status.value
     often = sample_posterior(beside, data, Priors(), budget=Budget(rounds=20, seed=1))
     assert often.status is SampleStatus.accepted
