@@ -19,7 +19,6 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
@@ -119,7 +118,7 @@ def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], 
     """
     rng, priors = np.random.default_rng([seed, 6]), Priors()
     d = inputs.shape[1]
-    theta = np.asarray(priors.sample(jax.random.PRNGKey(seed), d, 1))[0]
+    theta = priors.sample(rng, d, 1)[0]
     y = np.linalg.cholesky(covariance(theta, inputs)) @ rng.standard_normal(len(inputs))
     data = ReducedData.of(inputs, y)
     best = find_map(data, priors, starts=4, polish=1, seed=seed)[0]

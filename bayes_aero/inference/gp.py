@@ -175,7 +175,7 @@ def posterior_tree(
     # `posterior`: draws of the exact posterior with equal weights (the indices `at` of the weighted ones), and
     # `sample_stats` of these; `prior`; `proposal`: the weighted draws, with their exact log densities and PSIS log
     # weights.
-    prior = np.asarray(priors.sample(jax.random.PRNGKey(seed), len(names), PRIOR_DRAWS))
+    prior = priors.sample(np.random.default_rng(seed), len(names), PRIOR_DRAWS)
     groups = {
         "posterior": scaling.physical(weighted.theta[at]),
         "sample_stats": {"lp": weighted.exact[at], "proposal_index": at},

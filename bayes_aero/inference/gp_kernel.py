@@ -18,10 +18,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy.linalg import get_lapack_funcs
 from scipy.optimize import minimize
 
@@ -132,12 +130,12 @@ class HyperPrior:
         y = xp.exp(-z)
         return math.log(self.b) - z - y, self.b * (y - 1.0), -(self.b**2) * y
 
-    def sample(self, key: Array, shape: tuple[int, ...]) -> Float[Array, "..."]:
+    def sample(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         """Draws of t = log x."""
         if self.family == "frechet":  # the logarithm of a Frechet variable is a Gumbel one
-            return math.log(self.a) + jax.random.gumbel(key, shape) / self.b
-        normal = jax.random.normal(key, shape)
-        return jnp.log(self.a * jnp.abs(normal)) if self.family == "half-normal" else math.log(self.a) + self.b * normal
+            return math.log(self.a) + rng.gumbel(size=shape) / self.b
+        normal = rng.standard_normal(shape)
+        return np.log(self.a * np.abs(normal)) if self.family == "half-normal" else math.log(self.a) + self.b * normal
 
 
 @dataclass(frozen=True)
@@ -178,11 +176,9 @@ class Priors:
         values, slopes, bends = zip(*(q.slopes(t) for q, t in zip(self.each, pieces, strict=True)), strict=True)
         return sum(v.sum() for v in values), lib.concatenate(slopes), lib.concatenate(bends)
 
-    def sample(self, key: Array, d: int, draws: int) -> Float[Array, "draws p"]:
+    def sample(self, rng: np.random.Generator, d: int, draws: int) -> Float[np.ndarray, "draws p"]:
         """Draws of theta."""
-        priors = [q for q, count in zip(self.each, (1, d, 1, d, 1), strict=True) for _ in range(count)]
-        keys = jax.random.split(key, len(priors))
-        return jnp.stack([q.sample(k, (draws,)) for k, q in zip(keys, priors, strict=True)], axis=1)
+        return np.hstack([q.sample(rng, (draws, k)) for q, k in zip(self.each, (1, d, 1, d, 1), strict=True)])
 
 
 # --- The n x n part of the marginal likelihood: what is needed of (length scales, noise-to-signal), and no more.
@@ -266,7 +262,6 @@ def exact_point(u: LengthsAndNoise, data: ReducedData, *, slopes: bool = True) -
 LENGTH_BOUNDS = (-4.6, 6.9)  # log of scaled length scales: 0.01 to 1000 sd of the input
 NOISE_BOUNDS = (-20.0, 16.0)  # log sn^2/sf^2; the lower end keeps R factorisable in double precision
 SCREEN_SIZE, MIDDLE_SIZE = 300, 1000
-GRADIENT_TOLERANCE = 0.05  # nats per unit of u at which BFGS stops: under 0.01 nat below the optimum
 DIFFERENCE_STEP = 0.05  # of log l and log g, for the curvature at an optimum
 SAME_OPTIMUM = 0.5  # two optima closer than this in every log l and log g are one
 
@@ -333,31 +328,23 @@ def maximise(
     priors: Priors,
     *,
     w: Float[np.ndarray, " w"] | None = None,
-    covariance: Float[np.ndarray, "u u"] | None = None,
     max_iterations: int = 60,
     tolerance: float = 1e-9,
 ) -> Optimum:
     """Local optimum from u (and w) by L-BFGS-B over u; `tolerance` is relative in the log posterior."""
-    # Where a guess of the Laplace `covariance` of u is at hand, BFGS starts from it: half the evaluations.
     profile, box = ProfilePosterior(data, priors, w), search_box(u.size - 1)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
 
     def negative(at):
         nonlocal best
-        value, gradient, theta = profile(np.clip(at, box[:, 0], box[:, 1]))
+        value, gradient, theta = profile(np.clip(at, *box.T))
         if best is None or value > best[0]:
             best = value, gradient, theta
         return -value, -gradient
 
-    start = np.clip(u, box[:, 0], box[:, 1])
-    if covariance is None:
-        method, options = "L-BFGS-B", {"ftol": tolerance, "gtol": 1e-4, "maxls": 25}
-    else:
-        method, options = "BFGS", {"hess_inv0": covariance, "gtol": GRADIENT_TOLERANCE}
-    options["maxiter"] = max_iterations
-    limits = box if covariance is None else None
+    options = {"ftol": tolerance, "gtol": 1e-4, "maxls": 25, "maxiter": max_iterations}
     try:
-        out = minimize(negative, start, jac=True, method=method, bounds=limits, options=options)
+        out = minimize(negative, np.clip(u, *box.T), jac=True, method="L-BFGS-B", bounds=box, options=options)
         status = MapStatus.iteration_limit if out.status == 1 else MapStatus.converged
     except np.linalg.LinAlgError:
         status = MapStatus.not_positive_definite
@@ -370,14 +357,6 @@ def maximise(
     if status is MapStatus.converged and near:
         status = MapStatus.at_bound
     return Optimum(theta, value, float(np.max(np.abs(gradient))), status)
-
-
-def starting_points(priors: Priors, d: int, count: int, seed: int) -> Float[np.ndarray, "starts u"]:
-    """`count` starts in u: three fixed ones, the rest from the prior."""
-    fixed = np.array([[0.0] * d + [-3.0], [1.0] * d + [-3.0], [-1.0] * d + [-1.0]])
-    keys = jax.random.split(jax.random.PRNGKey(seed))
-    drawn = np.hstack([priors.length.sample(keys[0], (count, d)), 2.0 * priors.noise.sample(keys[1], (count, 1))])
-    return np.concatenate([fixed, drawn])[:count]
 
 
 def distinct(optima: list[Optimum], count: int) -> list[Optimum]:
@@ -394,18 +373,14 @@ def find_map(data: ReducedData, priors: Priors, *, starts: int = 16, polish: int
     """The distinct optima found, best first: `starts` on 300 points, the best 4 on 1000, the best `polish` on n."""
     d, rows = data.x.shape[1], [np.random.default_rng(seed + i).permutation(data.n) for i in (0, 1)]
     screen, middle = (ReducedData(data.x[at], data.fy[at]) for at in (rows[0][:SCREEN_SIZE], rows[1][:MIDDLE_SIZE]))
-    points = starting_points(priors, d, starts, seed)
+    rng = np.random.default_rng([seed, 2])
+    drawn = np.hstack([priors.length.sample(rng, (starts, d)), 2.0 * priors.noise.sample(rng, (starts, 1))])
+    points = np.concatenate([[[0.0] * d + [-3.0], [1.0] * d + [-3.0], [-1.0] * d + [-1.0]], drawn])[:starts]
     optima = distinct([maximise(u, screen, priors, max_iterations=30, tolerance=1e-5) for u in points], 4)
     if middle.n > screen.n:
         limits: Any = {"max_iterations": 40, "tolerance": 1e-7}
         optima = distinct([maximise(o.u, middle, priors, w=o.theta[: d + 2], **limits) for o in optima], polish)
-    whole = []
-    for o in optima[:polish]:
-        guess = None
-        if data.n > middle.n and o.status is MapStatus.converged:  # the curvature grows with n
-            guess = curvature(o, middle, priors) * middle.n / data.n
-        whole.append(maximise(o.u, data, priors, w=o.theta[: d + 2], covariance=guess))
-    return distinct(whole, polish)
+    return distinct([maximise(o.u, data, priors, w=o.theta[: d + 2]) for o in optima[:polish]], polish)
 
 
 def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> Float[np.ndarray, "u u"]:
