@@ -181,9 +181,9 @@ def without_noise_bias_in_band(
     start = np.array([values.get(p.name, p.start) for p in parameters])
 
     def draw() -> dict[str, np.ndarray]:
-        noise = {}
+        ends, noise = np.cumsum(flights.lengths)[:-1], {}
         for name in flights.recorded:
-            parts = np.split(np.asarray(flights.channels[name], float), np.cumsum(flights.lengths)[:-1])
+            parts = np.split(np.asarray(flights.channels[name], float), ends)
             noise[name] = np.concatenate([noise_of(x) * rng.standard_normal(len(x)) for x in parts])
         return noise
 

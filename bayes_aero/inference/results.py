@@ -122,10 +122,9 @@ class MleResult(Estimates):
 
     def strong_correlations(self, limit: float = 0.9) -> list[tuple[str, str, float]]:
         """Pairs of parameters whose estimates are correlated beyond `limit` in size."""
-        rows, columns = np.triu_indices(len(self.names), 1)
-        names, found = self.names, self.correlation
-        pairs = [(names[i], names[j], float(found[i, j])) for i, j in zip(rows, columns, strict=True)]
-        return sorted((pair for pair in pairs if abs(pair[2]) > limit), key=lambda pair: -abs(pair[2]))
+        pairs = zip(*np.triu_indices(len(self.names), 1), strict=True)
+        strong = [(self.names[i], self.names[j], float(self.correlation[i, j])) for i, j in pairs]
+        return sorted((pair for pair in strong if abs(pair[2]) > limit), key=lambda pair: -abs(pair[2]))
 
     def warnings(self) -> list[str]:
         """Warnings for the user of the numbers, one sentence each."""
@@ -150,13 +149,13 @@ class MleResult(Estimates):
                 if bound < 10.0 * abs(value):  # at a bound of zero a share of the estimate is infinite
                     size = f"{bound / abs(value):.0%} of it"
                 sentences.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
-        bias = np.zeros(len(self.names)) if self.bias is None else self.bias
-        for name, error, sd in zip(self.names, bias, self.crb_corrected, strict=True):
-            if abs(error) > LARGE_BIAS * sd:
-                sentences.append(
-                    f"Noise of the recorded signals biases {name} by {number(error, 2)}, most of its corrected "
-                    "standard error; the bias is subtracted to first order only. Records with less noise are needed."
-                )
+        biases = () if self.bias is None else zip(self.names, self.bias, self.crb_corrected, strict=True)
+        sentences += [
+            f"Noise of the recorded signals biases {name} by {number(error, 2)}, most of its corrected standard error; "
+            "the bias is subtracted to first order only. Records with less noise are needed."
+            for name, error, sd in biases
+            if abs(error) > LARGE_BIAS * sd
+        ]
         sentences += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
         return sentences
 

@@ -80,7 +80,11 @@ class Model:
                     remedy = f"; add {owners} to the effects" if owners else ""
                     raise InputError(f"effect {effect.name} uses {name}, which no effect of the model owns{remedy}")
             if not effect.acts_on(axes):
-                raise InputError(no_such_axis(effect, axes))
+                raise InputError(
+                    f"effect {effect.name} acts on {', '.join(effect.example.increments)} of the "
+                    f"{' and '.join(effect.axes)} axis, which the model lacks; remove it, or add "
+                    f'"{effect.axes[0]}" to the axes ({", ".join(axes)})'
+                )
         for name in fixed or {}:
             if name not in names:
                 raise InputError(f"the fixed parameter {name} belongs to no effect of the model")
@@ -296,15 +300,6 @@ def lengths_of(a: Aircraft) -> Lengths:
     span = 2.0 * float(a.half_span) / TRANSPORT_SPAN
     rate, lateral_rate, moment = (1.0 if length is None else float(usual) / float(length) for usual, length in given)
     return Lengths(rate, lateral_rate, moment, span if math.isfinite(span) else 1.0)
-
-
-def no_such_axis(effect: Effect, axes: tuple[Axis, ...]) -> str:
-    """The sentence on an effect that adds to none of the coefficients of a model of `axes`."""
-    added = ", ".join(effect.example.increments)
-    return (
-        f"effect {effect.name} acts on {added} of the {' and '.join(effect.axes)} axis, which the model lacks; "
-        f'remove it, or add "{effect.axes[0]}" to the axes ({", ".join(axes)})'
-    )
 
 
 def effect_named(name: str) -> Effect:

@@ -21,7 +21,8 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.model.records import Flights, Forming, joined, named_apart, plain_marks, without_spikes
+from bayes_aero.model.records import Flights, Forming, joined, plain_marks
+from bayes_aero.model.records import despiked as despiked  # for those that join
 from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
 from bayes_aero.physics.aircraft import NAMES, Aircraft, required_of
 from bayes_aero.physics.coefficients import alike_joined, condition_joined, stacked_coefficients
@@ -71,13 +72,6 @@ def join(records: Sequence[FlightRecord], card: Card, *required: Any) -> Flights
     """`joined`, for compiled programs."""
     flights = joined(records, card, *required)
     return replace(flights, channels={name: jnp.asarray(x) for name, x in flights.channels.items()})
-
-
-def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
-    """The manoeuvres without spikes, and the number of replaced samples by channel; see `without_spikes`."""
-    channels, count = without_spikes(flights.channels, flights.lengths)
-    mended = {name: jnp.asarray(channels[name]) if name in count else x for name, x in flights.channels.items()}
-    return replace(flights, channels=mended), count
 
 
 # --- What a model is fitted to: conditioned signals and measured coefficients of one or more manoeuvres.
@@ -155,11 +149,8 @@ def observe(
 ) -> Observations:
     """Reconstruct the coefficients of every record, one a manoeuvre, and lay the manoeuvres end to end."""
     # Effects that act on the record or the aircraft itself are applied at the values the model fixes for them.
-    if not records:
-        raise InputError("there is no flight record to work on; name at least one file")
-    named_apart(records)
     forming = Forming(forming)
-    if forming is Forming.MATCHED:
+    if forming is Forming.MATCHED and records:
         records = at_common_rate(records)
     values = dict(model.fixed)
     for effect in model.effects:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.ndimage import median_filter, rank_filter, uniform_filter1d
 
-from bayes_aero.arrays import AnyArray
+from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.effect import MARKS
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -143,7 +143,9 @@ def joined(
     ends in its name with a `remedy`."""
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
-    named_apart(records)
+    names = [record.name for record in records]
+    if len(set(names)) < len(names):
+        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
     parts, offset = [], 0
     for record in records:
         have = with_sums(record, card)
@@ -159,17 +161,9 @@ def joined(
         manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
         time=np.concatenate([np.asarray(record.time) for record in records]),
         lengths=tuple(record.n for record in records),
-        names=tuple(record.name for record in records),
+        names=tuple(names),
         held=card.fly.held,
     )
-
-
-def named_apart(records: Sequence[FlightRecord]) -> list[str]:
-    """The records' names; raises `InputError` where two are the same."""
-    names = [record.name for record in records]
-    if len(set(names)) < len(names):
-        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
-    return names
 
 
 MACH_VARIES, MACH_OFF = 0.005, 0.02  # of airspeed over Mach number: slow to fast flight; from the speed of sound
@@ -177,8 +171,8 @@ MACH_VARIES, MACH_OFF = 0.005, 0.02  # of airspeed over Mach number: slow to fas
 
 def marks_of(record: FlightRecord, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
     """Marks for effects of stage CHANNEL of a recorded manoeuvre, the first sample at index `first`."""
-    marks = plain_marks(record.n, record.dt, first)
-    return marks | {"mach_follows": marks["mach_follows"] * (0.0 if own_mach(record) else 1.0)}
+    follows = np.full(record.n, 0.0 if own_mach(record) else 1.0)
+    return plain_marks(record.n, record.dt, first) | {"mach_follows": follows}
 
 
 def own_mach(record: FlightRecord) -> bool:
@@ -186,9 +180,8 @@ def own_mach(record: FlightRecord) -> bool:
     if not all(record.has(name) for name in ("mach", "airspeed")):
         return False
     # Then V / M is no speed of sound: it varies with the airspeed, or is not that of the temperature.
-    V, M = record["airspeed"], record["mach"]
+    V, M, sound = record["airspeed"], record["mach"], np.ones(record.n)
     measured = record.has("static_temperature") and bool(np.all(record["static_temperature"] > 0.0))
-    sound = np.ones(record.n)
     if measured:
         sound = np.sqrt(GAMMA * GAS * record["static_temperature"])
     elif record.has("altitude"):
@@ -214,10 +207,11 @@ def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, "
     }
 
 
-def repaired(flights: Flights) -> tuple[Flights, dict[str, int]]:
+def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
     """The manoeuvres without spikes, and the number of replaced samples by channel; see `without_spikes`."""
     channels, count = without_spikes(flights.channels, flights.lengths)
-    return replace(flights, channels=channels), count
+    kept = {name: namespace(x).asarray(channels[name]) if name in count else x for name, x in flights.channels.items()}
+    return replace(flights, channels=kept), count
 
 
 MIN_WINDOW_SHARE = 0.5  # of a window: a shorter remainder at the end of a manoeuvre joins the window before it

@@ -90,26 +90,19 @@ def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) 
     s, a = signals, aircraft
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
     arm_x, arm_y, arm_z = lever_arm(rotation, a.accelerometer)
-    thrust_x, thrust_z = thrust_components(s["thrust"], a)
+    (thrust_x, thrust_z), thrust_moments = thrust_of(s, a)
     pressure_area = 0.5 * s["density"] * jnp.square(s["airspeed"]) * a.wing_area
     CX = (a.mass * (s["ax"] - arm_x) - thrust_x) / pressure_area
     CZ = (a.mass * (s["az"] - arm_z) - thrust_z) / pressure_area
     CL, CD = across_flow(CX, CZ, s["alpha"])
-
-    x_engine, y_engine, z_engine = a.engine
-    x_ref, y_ref, z_ref = a.reference_point
-    L, M, N = inertial_moments(rotation, a)
-    M = M - (thrust_x * z_engine - thrust_z * x_engine)
-    Cm = M / (pressure_area * a.chord) - CX * z_ref / a.chord + CZ * x_ref / a.chord
-    longitudinal = {"CL": CL, "CD": CD, "Cm": Cm}
+    L, M, N = (i - t for i, t in zip(inertial_moments(rotation, a), thrust_moments, strict=True))
+    x, y, z = a.reference_point
+    longitudinal = {"CL": CL, "CD": CD, "Cm": M / (pressure_area * a.chord) - CX * z / a.chord + CZ * x / a.chord}
     if "ay" not in s:
         return longitudinal
-    b = a.moment_length
-    CY = a.mass * (s["ay"] - arm_y) / pressure_area
-    roll, yaw = engine_moments(s, a)
-    L, N = L - y_engine * thrust_z - roll, N + y_engine * thrust_x - yaw
-    Cl = L / (pressure_area * b) - CZ * y_ref / b + CY * z_ref / b
-    Cn = N / (pressure_area * b) - CY * x_ref / b + CX * y_ref / b
+    b, CY = a.moment_length, a.mass * (s["ay"] - arm_y) / pressure_area
+    Cl = L / (pressure_area * b) - CZ * y / b + CY * z / b
+    Cn = N / (pressure_area * b) - CY * x / b + CX * y / b
     return longitudinal | {"CY": CY, "Cl": Cl, "Cn": Cn}
 
 
@@ -130,13 +123,17 @@ def thrust_components(thrust: Samples, aircraft: Aircraft) -> tuple[Samples, Sam
     return thrust * jnp.cos(aircraft.engine_inclination), -thrust * jnp.sin(aircraft.engine_inclination)
 
 
-def engine_moments(signals: Mapping[str, Samples], aircraft: Aircraft) -> tuple[Samples, Samples]:
-    """Moments (N m) about body x and z of a left and a right engine, zero where their thrusts were not recorded."""
-    if "thrust_left" not in signals or "thrust_right" not in signals:
-        nothing = jnp.zeros_like(signals["thrust"])
-        return nothing, nothing
-    along, down = thrust_components(signals["thrust_left"] - signals["thrust_right"], aircraft)
-    return -aircraft.engine_arm * down, aircraft.engine_arm * along
+def thrust_of(
+    signals: Mapping[str, Samples], aircraft: Aircraft
+) -> tuple[tuple[Samples, Samples], tuple[Samples, Samples, Samples]]:
+    """Thrust along body x and z (N), and its moments about the CG (N m): with those of a left and a right engine."""
+    along, down = thrust_components(signals["thrust"], aircraft)
+    x, y, z = aircraft.engine
+    roll, pitch, yaw = y * down, z * along - x * down, -y * along
+    if "thrust_left" in signals and "thrust_right" in signals:
+        apart = thrust_components(signals["thrust_left"] - signals["thrust_right"], aircraft)
+        roll, yaw = roll - aircraft.engine_arm * apart[1], yaw + aircraft.engine_arm * apart[0]
+    return (along, down), (roll, pitch, yaw)
 
 
 def specific_force(
@@ -160,14 +157,12 @@ def moments(
     # `signals`: air and thrust.
     a = aircraft
     area = 0.5 * signals["density"] * jnp.square(signals["airspeed"]) * a.wing_area
-    along, down = thrust_components(signals["thrust"], a)
+    (along, down), (roll, pitch, yaw) = thrust_of(signals, a)
     X, Y, Z = a.mass * force[0] - along, a.mass * force[1], a.mass * force[2] - down
     x, y, z = a.reference_point
-    x_engine, y_engine, z_engine = a.engine
-    roll, yaw = engine_moments(signals, a)
-    L = area * a.moment_length * flow["Cl"] + y * Z - z * Y + y_engine * down + roll
-    M = area * a.chord * flow["Cm"] + z * X - x * Z + z_engine * along - x_engine * down
-    N = area * a.moment_length * flow["Cn"] + x * Y - y * X - y_engine * along + yaw
+    L = area * a.moment_length * flow["Cl"] + y * Z - z * Y + roll
+    M = area * a.chord * flow["Cm"] + z * X - x * Z + pitch
+    N = area * a.moment_length * flow["Cn"] + x * Y - y * X + yaw
     return L, M, N
 
 
