@@ -390,14 +390,12 @@ MIN_GAIN_RATIO = 0.05  # least ratio of actual to expected gain of a step
 _simulate = eqx.filter_jit(simulate)
 
 
-def trajectories(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
-    """`segments.simulate`, compiled."""
-    return _simulate(flown.nameless, theta, departure)
+def trajectories(flown: SegmentTrajectories, theta: Any, departure: Any) -> Simulated:
+    """`segments.simulate`, compiled, with parameters (k,) and corrections of the initial states (w, s)."""
+    return _simulate(flown.nameless, jnp.asarray(theta), jnp.asarray(departure))
 
 
-def one_by_one(
-    flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]
-) -> tuple[tuple[str, ...], dict[int, Simulated]]:
+def one_by_one(flown: SegmentTrajectories, theta: Any, departure: Any) -> tuple[tuple[str, ...], dict[int, Simulated]]:
     """Names of all recorded outputs, and `trajectories` with them of each segment that has samples."""
     # One program serves any number of segments and any choice of outputs.
     shown = tuple(n for n in flown.dynamics.outputs if n in flown.flights.channels)
@@ -532,7 +530,7 @@ class SeparatedFlow:
         if fit.status is OutputErrorStatus.LEFT_ENVELOPE or not np.isfinite(fit.cost):
             return None
         flown = fit.flown
-        shown, simulated = one_by_one(flown, jnp.asarray(fit.estimate), jnp.asarray(fit.departure))
+        shown, simulated = one_by_one(flown, fit.estimate, fit.departure)
         if not all("X" in one.trajectory.outputs for one in simulated.values()):
             return None
         residual, separated = np.zeros((*flown.inside.shape, len(flown.outputs))), np.zeros(flown.inside.shape)

@@ -27,9 +27,8 @@ from bayes_aero.physics.kinematics import (
     down_of,
     inertial_moments,
     lever_arm,
-    motion_in_plane,
+    motion_over_ground,
     side_force,
-    sideslip_rate,
 )
 
 SMOOTHED = ("alpha", "beta", "airspeed")
@@ -324,12 +323,12 @@ def motion_of_aircraft(
     if "alpha" in prescribed:
         rate = path["alpha_dot"]
     elif implicit:
-        rate = alpha_dot(lambda rate: motion_in_plane(path, forces(flow(rate)), down)["alpha"])
+        rate = alpha_dot(lambda rate: motion_over_ground(path, forces(flow(rate)), down)["alpha"])
     else:
         rate = None
     known = flow(nothing if rate is None else rate)
     force = forces(known)
-    rates = motion_in_plane(path, force, down) | {"beta": sideslip_rate(path, force, down)}
+    rates = motion_over_ground(path, force, down)
     rates |= {} if rate is None else {"alpha": rate}
     given = {f"{n}_dot": path.get(f"{n}_dot", nothing) for n in RATES if n in prescribed}
     acting = moments(known, force, air, aircraft)

@@ -44,33 +44,25 @@ def motion_of_path(s: Mapping[str, Samples], force: Axes, sines: Sines | None = 
     sines = _sines(s) if sines is None else sines
     sin_t, cos_t, sin_p, cos_p = sines[4:]
     down = -sin_t, cos_t * sin_p, cos_t * cos_p
-    return motion_in_plane(s, force, down, sines) | {
-        "beta": sideslip_rate(s, force, down, sines),
+    return motion_over_ground(s, force, down, sines) | {
         "theta": s["q"] * cos_p - s["r"] * sin_p,
         "phi": s["p"] + (s["q"] * sin_p + s["r"] * cos_p) * sin_t / cos_t,
     }
 
 
-def motion_in_plane(
+def motion_over_ground(
     s: Mapping[str, Samples], force: Axes, down: Axes, sines: Sines | None = None
 ) -> dict[str, Samples]:
-    """Rates of airspeed, alpha and altitude; `force`: specific, at the CG, `down`: of gravity, in body axes."""
+    """Rates of airspeed, alpha, beta and altitude; `force`: specific, at the CG, `down`: of gravity, in body axes."""
     sin_a, cos_a, sin_b, cos_b = (_sines(s, FLOW_ANGLES) if sines is None else sines)[:4]
     ax, ay, az = (f + GRAVITY * d for f, d in zip(force, down, strict=True))
-    V = s["airspeed"]
+    V, across = s["airspeed"], ay * cos_b - (ax * cos_a + az * sin_a) * sin_b
     return {
         "airspeed": ax * cos_a * cos_b + ay * sin_b + az * sin_a * cos_b,
         "alpha": s["q"] - sin_b / cos_b * (s["p"] * cos_a + s["r"] * sin_a) + (az * cos_a - ax * sin_a) / (V * cos_b),
         "altitude": -V * (cos_a * cos_b * down[0] + sin_b * down[1] + sin_a * cos_b * down[2]),
+        "beta": across / V + s["p"] * sin_a - s["r"] * cos_a,
     }
-
-
-def sideslip_rate(s: Mapping[str, Samples], force: Axes, down: Axes, sines: Sines | None = None) -> Samples:
-    """Time derivative of sideslip, rad/s; arguments as those of `motion_in_plane`."""
-    sin_a, cos_a, sin_b, cos_b = (_sines(s, FLOW_ANGLES) if sines is None else sines)[:4]
-    ax, ay, az = (f + GRAVITY * d for f, d in zip(force, down, strict=True))
-    across = ay * cos_b - (ax * cos_a + az * sin_a) * sin_b
-    return across / s["airspeed"] + s["p"] * sin_a - s["r"] * cos_a
 
 
 def path_outputs(channels: Mapping[str, Samples]) -> tuple[str, ...]:

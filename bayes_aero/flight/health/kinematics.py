@@ -21,8 +21,7 @@ from bayes_aero.physics.kinematics import (
     STRAIGHT,
     down_of,
     euler_rates,
-    motion_in_plane,
-    sideslip_rate,
+    motion_over_ground,
 )
 
 # --- What each channel's rate of change must be (`physics.kinematics`), without aerodynamics; the distance of the
@@ -83,7 +82,7 @@ def rates_of(view: View, only: str | None = None) -> dict[str, np.ndarray]:
     with np.errstate(all="ignore"):
         angles = zip(("phi", "theta", "psi"), euler_rates((p, q, r), v["phi"], v["theta"]), strict=True)
         v |= part
-        return motion_in_plane(v, force, down) | {"beta": sideslip_rate(v, force, down)} | dict(angles)
+        return motion_over_ground(v, force, down) | dict(angles)
 
 
 def dead_heading(view: View) -> bool:
