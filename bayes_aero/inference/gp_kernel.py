@@ -393,7 +393,7 @@ def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> Float[np.n
     return 0.5 * (covariance + covariance.T)
 
 
-# --- The most probable s0, s_i and sf at given length scales and noise-to-signal ratio, by Newton's method.
+# --- The most probable s0, s_i and sf at given length scales and noise-to-signal ratio, within bounds.
 # The density is `posterior.small_posterior`, of a dozen unknowns at most and asked for tens of thousands of times:
 # calls into compiled code, and compiling it anew for every number of inputs, would cost more than the sums. With r =
 # s/sf, B = 1 + r G r and y = B^-1 r b (G and b are parts of the gram, Rasmussen and Williams, sec. 2.7)
@@ -401,10 +401,6 @@ def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> Float[np.n
 # and second derivatives follow in the same way.
 
 SD_BOUNDS = (-10.0, 6.0)  # log of scaled sds: 5e-5 to 400 times the output's rms
-GAIN_TOLERANCE = 1e-12  # expected gain of the last Newton step, relative to the log posterior (at least 1000 nats)
-MIN_CURVATURE = 1e-3  # of a direction, so that steps along nearly flat ones stay finite
-MAX_STEP, FIRST_STEP = 4.0, 2.0  # in log units
-MIN_STEP, MAX_STEPS = 1e-9, 100
 
 
 class Slopes(NamedTuple):
@@ -472,27 +468,15 @@ def best_sizes(
     w: Float[np.ndarray, " k"], point: ExactPoint, n: int, priors: Priors
 ) -> tuple[Float[np.ndarray, " k"], Slopes]:
     """w at the top of the posterior at point.u, from a start `w`, within `SD_BOUNDS`; and the posterior there."""
-    # Curvatures count by their size, so that the step leads uphill where the posterior is not concave, too.
-    low, high = SD_BOUNDS
-    w = np.clip(w, low, high)
-    at, radius = slopes(w, point, n, priors), FIRST_STEP
-    for _ in range(MAX_STEPS):
-        held = ((w <= low) & (at.by_w < 0.0)) | ((w >= high) & (at.by_w > 0.0))
-        g = np.where(held, 0.0, at.by_w)
-        H = np.where(held[:, None] | held, 0.0, at.by_w_twice)
-        values, vectors = np.linalg.eigh(H)
-        step = vectors @ (vectors.T @ g / np.maximum(np.abs(values), MIN_CURVATURE))
-        promised, length = g @ step, np.max(np.abs(step))
-        step *= min(1.0, radius / max(length, 1e-300))
-        there = np.clip(w + step, low, high)
+
+    def negative(w: np.ndarray) -> tuple[float, np.ndarray]:
         try:
-            new = slopes(there, point, n, priors)
+            at = slopes(w, point, n, priors)
         except np.linalg.LinAlgError:  # sds too far apart for double precision
-            new = None
-        if new is not None and new.value >= at.value:
-            w, at, radius = there, new, min(2.0 * radius, MAX_STEP)
-        else:
-            radius = 0.25 * min(length, radius)
-        if promised < GAIN_TOLERANCE * max(1e3, abs(at.value)) or radius < MIN_STEP:
-            break
-    return w, at
+            return 1e300, np.zeros(w.size)
+        return -at.value, -at.by_w
+
+    options = {"ftol": 1e-14, "gtol": 1e-6, "maxiter": 200}
+    start, bounds = np.clip(w, *SD_BOUNDS), [SD_BOUNDS] * w.size
+    w = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+    return w, slopes(w, point, n, priors)

@@ -42,6 +42,7 @@ from bayes_aero.progress import Progress
 PRIOR_DRAWS, MIN_DRAWS = 8, 2  # of the prior, from which other modes are sought
 MAX_SAMPLES_TIMES_DRAWS = 48_000  # fewer draws are used for longer records
 MIN_OTHER_SHARE = 0.01  # of the probability, from which other modes are reported
+ROUNDS_OF_CLIMBING = 12
 SAME_LOG_DENSITY = 0.05  # difference of log-densities below which two modes are one; searches stop no nearer
 MIN_RELATIVE_CURVATURE = 1e-8  # curvatures below this share of the largest count as this
 
@@ -79,42 +80,27 @@ def _value_and_gradient(density: LogDensity, u: Float[Array, " k"]):
     return jax.value_and_grad(type(density).__call__, argnums=1)(density, u)
 
 
-class _Point:
-    """A point of a density, with the log-density and its gradient there."""
-
-    def __init__(self, density: LogDensity, u: np.ndarray) -> None:
-        value, slope = _value_and_gradient(density, jnp.asarray(u))
-        self.density, self.u, self.value, self.slope = density, u, float(value), np.asarray(slope)
-        self.usable = bool(np.isfinite(self.value) and np.isfinite(self.slope).all())
-
-    def factor(self, step: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Lower Cholesky factor of |H|^-1 with the negative Hessian H; true if H is positive definite."""
-        # Away from the mode H may have negative eigenvalues. Their size is still the right scale of a step (saddle-free
-        # Newton), so absolute values are taken; a lower limit keeps flat directions finite.
-        rows = []  # central differences of the exact gradient
-        for move, size in zip(np.diag(step), step, strict=True):
-            forward, backward = (_Point(self.density, self.u + sign * move).slope for sign in (1.0, -1.0))
-            rows.append((backward - forward) / (2.0 * size))
-        H = (np.array(rows) + np.array(rows).T) / 2.0
-        finite = np.isfinite(H).all(axis=1)
-        if not finite.all():  # no density nearby in that direction: the largest curvature is taken
-            largest = np.abs(np.diag(H)[finite]).max(initial=1.0)
-            H = np.where(np.outer(finite, finite), H, np.diag(np.where(finite, 0.0, largest)))
-        curvature = np.abs(np.diag(H))
-        scale = np.sqrt(np.maximum(curvature, MIN_RELATIVE_CURVATURE**2 * curvature.max()))
-        eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-        floor = MIN_RELATIVE_CURVATURE * np.abs(eigenvalues).max()
-        covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
-        return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(finite.all() and eigenvalues[0] > floor)
-
-    def climb(self, factor: np.ndarray) -> _Point:
-        def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
-            at = _Point(self.density, self.u + factor @ v)
-            return (-at.value, -factor.T @ at.slope) if at.usable else (1e300, np.zeros(len(v)))
-
-        options, begin = {"maxiter": 200}, np.zeros(len(self.u))
-        climbed = optimize.minimize(negative, begin, jac=True, method="L-BFGS-B", options=options)
-        return _Point(self.density, self.u + factor @ climbed.x)
+def _curvature(density: LogDensity, u: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Lower Cholesky factor of |H|^-1 with the negative Hessian H at u; true if H is positive definite."""
+    # Away from the mode H may have negative eigenvalues. Their size is still the right scale of a step (saddle-free
+    # Newton), so absolute values are taken; a lower limit keeps flat directions finite.
+    rows = []  # central differences of the exact gradient
+    for move, size in zip(np.diag(step), step, strict=True):
+        forward, backward = (
+            np.asarray(_value_and_gradient(density, jnp.asarray(u + s * move))[1]) for s in (1.0, -1.0)
+        )
+        rows.append((backward - forward) / (2.0 * size))
+    H = (np.array(rows) + np.array(rows).T) / 2.0
+    finite = np.isfinite(H).all(axis=1)
+    if not finite.all():  # no density nearby in that direction: the largest curvature is taken
+        largest = np.abs(np.diag(H)[finite]).max(initial=1.0)
+        H = np.where(np.outer(finite, finite), H, np.diag(np.where(finite, 0.0, largest)))
+    curvature = np.abs(np.diag(H))
+    scale = np.sqrt(np.maximum(curvature, MIN_RELATIVE_CURVATURE**2 * curvature.max()))
+    eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    floor = MIN_RELATIVE_CURVATURE * np.abs(eigenvalues).max()
+    covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
+    return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(finite.all() and eigenvalues[0] > floor)
 
 
 def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
@@ -145,28 +131,29 @@ def inside(value: float, bounds: tuple[float, float]) -> float:
     return float(np.clip(value, lower + margin, upper - margin))
 
 
-def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> PosteriorMode:
+def find_mode(density: LogDensity, start: Float[np.ndarray, " k"]) -> PosteriorMode:
     """Maximise the log-density from `start` (x, bounded scale, strictly inside its bounds)."""
-    # Each round computes the curvature and takes a Newton step if that increases the density, else steps of L-BFGS.
-    at = _Point(density, np.asarray(density.unconstrain(jnp.asarray(start, float))))
-    step = np.full(len(at.u), 1e-4)
-    for _ in range(rounds):
-        factor, positive_definite = at.factor(step)
+
+    def negative(v: np.ndarray, centre: np.ndarray, factor: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = map(np.asarray, _value_and_gradient(density, jnp.asarray(centre + factor @ v)))
+        usable = np.isfinite(value) and np.isfinite(slope).all()
+        return (-float(value), -factor.T @ slope) if usable else (1e300, np.zeros(len(v)))
+
+    u, still = np.asarray(density.unconstrain(jnp.asarray(start, float))), np.zeros(len(start))
+    step, options = np.full(len(u), 1e-4), {"maxiter": 200, "ftol": 1e-13}
+    for _ in range(ROUNDS_OF_CLIMBING):  # L-BFGS, on the scale of the curvature where each round begins
+        factor, positive_definite = _curvature(density, u, step)
         step = np.minimum(1e-3 * np.sqrt(np.sum(factor**2, axis=1)), 1e-2)
-        move = factor @ (factor.T @ at.slope)
-        gain = 0.5 * float(at.slope @ move)
+        cost, slope = negative(still, u, factor)
+        gain = 0.5 * float(slope @ slope)  # that Newton's step promises
         if positive_definite and gain < 1e-7:
-            return PosteriorMode(at.u, factor, at.value, ModeStatus.CONVERGED)
-        trial = _Point(density, at.u + move)
-        if not (trial.usable and trial.value > at.value + 0.5 * gain):
-            trial = at.climb(factor)
-        if not (trial.usable and trial.value > at.value):
             break
-        at = trial
-    factor, positive_definite = at.factor(step)
-    near = 0.5 * float(at.slope @ factor @ (factor.T @ at.slope)) < 1e-3
-    status = ModeStatus.FLAT if not positive_definite else ModeStatus.CONVERGED if near else ModeStatus.NOT_CONVERGED
-    return PosteriorMode(at.u, factor, at.value, status)
+        climbed = optimize.minimize(negative, still, (u, factor), "L-BFGS-B", jac=True, options=options)
+        if not climbed.fun < cost:
+            break
+        u = u + factor @ climbed.x
+    near = ModeStatus.CONVERGED if gain < 1e-3 else ModeStatus.NOT_CONVERGED
+    return PosteriorMode(u, factor, -cost, near if positive_definite else ModeStatus.FLAT)
 
 
 def search_modes(
