@@ -47,6 +47,7 @@ Vector = Float[np.ndarray, " n"] | Float[jax.Array, " n"]
 
 DEGREES_OF_FREEDOM = 5.0  # of the proposals: tails heavier than the posterior's
 INNER_DRAWS = 16  # of w at each u
+STEP = 1e-3  # of w, for the curvature there
 WIDEST = 1.5  # standard deviation of a proposal in directions that the data leave open
 K_LIMIT = 0.7  # largest Pareto k that is accepted; its standard error is about 0.2 on this few draws
 ESS_SHARE = 0.3  # k judges the tail of the weights only; a proposal beside the posterior shows in their ESS
@@ -104,7 +105,10 @@ def sample_posterior(
     """Weighed draws of theta from the exact posterior around `optimum`, with a status."""
     rng, k = np.random.default_rng(budget.seed), data.x.shape[1] + 2
     centre, covariance = optimum.u, kernel.curvature(optimum, data, priors)
-    box = kernel.search_box(k - 2)  # beyond that of the search for the mode the posterior is cut off
+    steps, box = (
+        STEP * np.eye(k),
+        kernel.search_box(k - 2),
+    )  # beyond that of the search for the mode the posterior is cut off
     for number in range(budget.rounds):
         us, proposed = student_draws(rng, budget.draws, centre, np.linalg.cholesky(covariance))
         profile, status = kernel.ProfilePosterior(data, priors, optimum.theta[:k].copy()), SampleStatus.accepted
@@ -114,11 +118,13 @@ def sample_posterior(
                 continue
             try:
                 point = kernel.exact_point(u, data, slopes=False)
-                best = profile.inner(point)
+                profile.inner(point)
+                bends = [kernel.slopes(profile.w + s, point, data.n, priors).by_w for s in (*steps, *-steps)]
             except np.linalg.LinAlgError:
                 status = SampleStatus.not_positive_definite
                 continue
-            values, vectors = np.linalg.eigh(-best.by_w_twice)
+            bend = (np.array(bends[k:]) - bends[:k]) / (4.0 * STEP)
+            values, vectors = np.linalg.eigh(bend + bend.T)  # of minus the second derivatives by w
             w, of_w = student_draws(rng, INNER_DRAWS, profile.w, vectors / np.sqrt(np.maximum(values, WIDEST**-2.0)))
             thetas = np.array([kernel.assemble(x, u) for x in w])
             density = np.array([kernel.density_at(t, point, data.n, priors) for t in thetas])

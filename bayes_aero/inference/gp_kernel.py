@@ -118,17 +118,17 @@ class HyperPrior:
     a: float = 1.0
     b: float = 1.0
 
-    def slopes(self, t: Float[AnyArray, "*s"]) -> tuple[Any, Any, Any]:
-        """Log density of each t = log x, and its first and second derivatives."""
+    def slopes(self, t: Float[AnyArray, "*s"]) -> tuple[Any, Any]:
+        """Log density of each t = log x, and its derivative."""
+        z = self.b * (t - math.log(self.a))
         if self.family == "half-normal":
             x2 = xp.exp(2.0 * t) / self.a**2
-            return 0.5 * math.log(2.0 / math.pi) - math.log(self.a) - 0.5 * x2 + t, 1.0 - x2, -2.0 * x2
+            return 0.5 * math.log(2.0 / math.pi) - math.log(self.a) - 0.5 * x2 + t, 1.0 - x2
         if self.family == "log-normal":
-            z = (t - math.log(self.a)) / self.b
-            return -0.5 * z**2 - math.log(self.b * math.sqrt(2.0 * math.pi)), -z / self.b, 0.0 * t - self.b**-2.0
-        z = self.b * (t - math.log(self.a))
+            z = z / self.b**2
+            return -0.5 * z**2 - math.log(self.b * math.sqrt(2.0 * math.pi)), -z / self.b
         y = xp.exp(-z)
-        return math.log(self.b) - z - y, self.b * (y - 1.0), -(self.b**2) * y
+        return math.log(self.b) - z - y, self.b * (y - 1.0)
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         """Draws of t = log x."""
@@ -169,12 +169,12 @@ class Priors:
         """Those of the five groups of hyperparameters, in the order of theta."""
         return self.constant, self.linear, self.signal, self.length, self.noise
 
-    def slopes(self, theta: Float[AnyArray, " p"]) -> tuple[Any, Any, Any]:
-        """log q(theta), its gradient, and the diagonal of its second derivatives, beside which there is nothing."""
+    def slopes(self, theta: Float[AnyArray, " p"]) -> tuple[Any, Any]:
+        """log q(theta) and its gradient."""
         lib, d = namespace(theta), (theta.size - 3) // 2
         pieces = lib.split(theta, [1, d + 1, d + 2, 2 * d + 2])
-        values, slopes, bends = zip(*(q.slopes(t) for q, t in zip(self.each, pieces, strict=True)), strict=True)
-        return sum(v.sum() for v in values), lib.concatenate(slopes), lib.concatenate(bends)
+        values, slopes = zip(*(q.slopes(t) for q, t in zip(self.each, pieces, strict=True)), strict=True)
+        return sum(v.sum() for v in values), lib.concatenate(slopes)
 
     def sample(self, rng: np.random.Generator, d: int, draws: int) -> Float[np.ndarray, "draws p"]:
         """Draws of theta."""
@@ -394,23 +394,20 @@ def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> Float[np.n
 
 
 # --- The most probable s0, s_i and sf at given length scales and noise-to-signal ratio, within bounds.
-# The density is `posterior.small_posterior`, of a dozen unknowns at most and asked for tens of thousands of times:
-# calls into compiled code, and compiling it anew for every number of inputs, would cost more than the sums. With r =
-# s/sf, B = 1 + r G r and y = B^-1 r b (G and b are parts of the gram, Rasmussen and Williams, sec. 2.7)
-# d log p/d log s_i = y_i^2/sf^2 - 1 + (B^-1)_ii,
-# and second derivatives follow in the same way.
+# They are of a dozen unknowns at most and asked for tens of thousands of times: calls into compiled code, and compiling
+# it anew for every number of inputs, would cost more than the sums. With r = s/sf, B = 1 + r G r and y = B^-1 r b (G
+# and b are parts of the gram, Rasmussen and Williams, sec. 2.7)
+# d log p/d log s_i = y_i^2/sf^2 - 1 + (B^-1)_ii.
 
 SD_BOUNDS = (-10.0, 6.0)  # log of scaled sds: 5e-5 to 400 times the output's rms
 
 
 class Slopes(NamedTuple):
-    """Log posterior at theta, with its derivatives by theta (p,), by w (k,) once and twice, and by gram; by logdet it
-    is -1/2."""
+    """Log posterior at theta, with its derivatives by theta (p,), by w (k,) and by gram; by logdet it is -1/2."""
 
     value: float
     by_theta: Float[np.ndarray, " p"]
     by_w: Float[np.ndarray, " k"]
-    by_w_twice: Float[np.ndarray, "k k"]
     by_gram: Float[np.ndarray, "m m"]
 
 
@@ -430,30 +427,19 @@ def slopes(w: Float[np.ndarray, " k"], point: ExactPoint, n: int, priors: Priors
     y = P @ (r * b)
     quadratic = (c - (r * b) @ y) * e
     log_k = 2.0 * n * log_sf + point.logdet + 2.0 * np.sum(np.log(np.diagonal(lower)))
-    theta = assemble(w, point.u)
-    density, slope, bend = priors.slopes(theta)
+    density, slope = priors.slopes(assemble(w, point.u))
     value = -0.5 * (quadratic + log_k + n * np.log(2.0 * np.pi)) + density
-
-    first = np.empty(m + 1)
-    first[:m] = y**2 * e - 1.0 + np.diagonal(P)
-    first[m] = quadratic - n - first[:m].sum()
-    inner = 2.0 * P * (P + 2.0 * e * np.outer(y, y)) - 2.0 * np.diag(e * y**2 + np.diagonal(P))
-    mixed = -2.0 * e * y**2
-    second = np.empty((m + 1, m + 1))
-    second[:m, :m] = inner
-    second[:m, m] = second[m, :m] = mixed - inner.sum(axis=1)
-    second[m, m] = -2.0 * quadratic - 2.0 * mixed.sum() + inner.sum()
-
+    of_sizes = y**2 * e - 1.0 + np.diagonal(P)
     by_theta = slope.copy()
-    by_theta[: m + 1] += first
-    first, second = first + slope[: m + 1], second + np.diag(bend[: m + 1])
-    first[m], second[m, m] = first[m] + slope[-1], second[m, m] + bend[-1]
+    by_theta[: m + 1] += np.append(of_sizes, quadratic - n - of_sizes.sum())
+    by_w = by_theta[: m + 1].copy()
+    by_w[m] += slope[-1]
     z = r * y
     by_gram = np.zeros_like(gram)
     by_gram[:m, :m] = -0.5 * (e * np.outer(z, z) + r[:, None] * P * r)
     by_gram[:m, m] = e * z
     by_gram[m, m] = -0.5 * e
-    return Slopes(float(value), by_theta, first, second, by_gram)
+    return Slopes(float(value), by_theta, by_w, by_gram)
 
 
 def density_at(theta: Theta, point: ExactPoint, n: int, priors: Priors) -> float:

@@ -86,10 +86,8 @@ def _curvature(density: LogDensity, u: np.ndarray, step: np.ndarray) -> tuple[np
     # Newton), so absolute values are taken; a lower limit keeps flat directions finite.
     rows = []  # central differences of the exact gradient
     for move, size in zip(np.diag(step), step, strict=True):
-        forward, backward = (
-            np.asarray(_value_and_gradient(density, jnp.asarray(u + s * move))[1]) for s in (1.0, -1.0)
-        )
-        rows.append((backward - forward) / (2.0 * size))
+        ends = (_value_and_gradient(density, jnp.asarray(u + sign * move))[1] for sign in (-1.0, 1.0))
+        rows.append(np.subtract(*map(np.asarray, ends)) / (2.0 * size))
     H = (np.array(rows) + np.array(rows).T) / 2.0
     finite = np.isfinite(H).all(axis=1)
     if not finite.all():  # no density nearby in that direction: the largest curvature is taken
@@ -145,7 +143,7 @@ def find_mode(density: LogDensity, start: Float[np.ndarray, " k"]) -> PosteriorM
         factor, positive_definite = _curvature(density, u, step)
         step = np.minimum(1e-3 * np.sqrt(np.sum(factor**2, axis=1)), 1e-2)
         cost, slope = negative(still, u, factor)
-        gain = 0.5 * float(slope @ slope)  # that Newton's step promises
+        gain = 0.5 * float(slope @ slope) if cost < 1e300 else np.inf  # that Newton's step promises
         if positive_definite and gain < 1e-7:
             break
         climbed = optimize.minimize(negative, still, (u, factor), "L-BFGS-B", jac=True, options=options)
