@@ -212,6 +212,7 @@ class Colour(StrEnum):
 
 
 DEFAULT = Colour.BUFFET_AR1  # near the stall a steep model also amplifies the noise of the vane
+Series = Float[Array, " n"]
 
 
 @dataclass(frozen=True)
@@ -238,44 +239,27 @@ class Noise:
         )
 
     def innovation(
-        self,
-        name: str,
-        values: Mapping[str, Any],
-        residual: Float[Array, " n"],
-        X: Float[Array, " n"],
-        start: Bool[Array, " n"],
-    ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+        self, name: str, values: Mapping[str, Any], residual: Series, X: Series, start: Bool[Array, " n"]
+    ) -> tuple[Series, Series]:
         """Innovations of one coefficient over their standard deviation, and the logarithm of the latter."""
         # `residual` is measured minus modelled. At `start` the innovation is the residual itself with the stationary
         # standard deviation, so that manoeuvres are independent and the density is exact.
-        sigma = values[f"sigma_{name}"]
-        log_growth = jnp.zeros(())
-        if self.colour is Colour.BUFFET_AR1:
-            noise_growth = 1.0 + values[f"buffet_{name}"] * (1.0 - X)
-            residual, log_growth = residual / noise_growth, jnp.log(noise_growth)
-        if self.colour is Colour.WHITE:
-            return residual / sigma, jnp.broadcast_to(jnp.log(sigma), residual.shape)
-        rho = values[f"rho_{name}"]
-        innovation_sd = jnp.sqrt(1.0 - rho**2)
-        before = jnp.concatenate([jnp.zeros(1), residual[:-1]])
-        z = jnp.where(start, residual, (residual - rho * before) / innovation_sd) / sigma
-        return z, jnp.where(start, jnp.log(sigma), jnp.log(sigma * innovation_sd)) + log_growth
+        sigma, rho, buffet = (values.get(f"{kind}_{name}", 0.0) for kind in ("sigma", "rho", "buffet"))
+        growth = 1.0 + buffet * (1.0 - X)
+        residual = residual / growth
+        before = jnp.where(start, 0.0, rho) * jnp.concatenate([jnp.zeros(1), residual[:-1]])
+        sd = sigma * jnp.where(start, 1.0, jnp.sqrt(1.0 - rho**2))
+        return (residual - before) / sd, jnp.log(sd) + jnp.log(growth)
 
     def simulate(
-        self, values: Mapping[str, Any], white: Float[Array, "n c"], X: Float[Array, " n"], start: Bool[Array, " n"]
+        self, values: Mapping[str, Any], white: Float[Array, "n c"], X: Series, start: Bool[Array, " n"]
     ) -> Float[Array, "n c"]:
-        sigma = jnp.stack([values[f"sigma_{name}"] for name in self.coefficients])
-        if self.colour is Colour.WHITE:
-            return white * sigma
-        rho = jnp.stack([values[f"rho_{name}"] for name in self.coefficients])
-        first = start[:, None]
+        """Residuals of all coefficients from standard normal numbers: the inverse of `innovation`."""
+        each = [[values.get(f"{kind}_{n}", 0.0) for n in self.coefficients] for kind in ("sigma", "rho", "buffet")]
+        (sigma, rho, buffet), first = (jnp.stack(list(map(jnp.asarray, row))) for row in each), start[:, None]
         drive = white * sigma * jnp.where(first, 1.0, jnp.sqrt(1.0 - rho**2))
-        keep = jnp.where(first, 0.0, jnp.broadcast_to(rho, drive.shape))
-        residual = recurrence(keep, drive)
-        if self.colour is Colour.BUFFET_AR1:
-            buffet = jnp.stack([values[f"buffet_{name}"] for name in self.coefficients])
-            residual = residual * (1.0 + buffet * (1.0 - X)[:, None])
-        return residual
+        residual = recurrence(jnp.where(first, 0.0, jnp.broadcast_to(rho, drive.shape)), drive)
+        return residual * (1.0 + buffet * (1.0 - X)[:, None])
 
 
 # --- A log-density: likelihood and priors of named parameters, on the scale of the data and on the whole real line.
@@ -379,7 +363,7 @@ class Density(LogDensity):
 
     def pointwise(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
         """Log-likelihood of every sample and coefficient, given the samples before it in its manoeuvre."""
-        return jnp.stack(self._log_densities(x), axis=-1)
+        return jnp.stack([density for _, density in self._innovations(x)], axis=-1)
 
     def standardised(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
         """One-step-ahead innovations over their standard deviation: white, unit variance if the model holds."""
@@ -392,15 +376,14 @@ class Density(LogDensity):
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
         """Sum of `pointwise`, taken before the coefficients are put side by side: almost twice as fast."""
-        return sum((jnp.sum(one) for one in self._log_densities(x)), start=jnp.zeros(()))
+        return sum((jnp.sum(density) for _, density in self._innovations(x)), start=jnp.zeros(()))
 
-    def _log_densities(self, x: Float[Array, " k"]) -> list[Float[Array, " n"]]:
-        return [-0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - deviation for z, deviation in self._innovations(x)]
-
-    def _innovations(self, x: Float[Array, " k"]) -> list[tuple[Float[Array, " n"], Float[Array, " n"]]]:
+    def _innovations(self, x: Float[Array, " k"]) -> list[tuple[Series, Series]]:
+        """By coefficient: standardised innovations, and their log-densities."""
         o, flow, values = self.observations, self._flow(x), self.values(x)
         residuals = {name: o.measured[:, c] - flow[name] for c, name in enumerate(self.model.coefficients)}
-        return [self.noise.innovation(name, values, r, flow["X"], o.start) for name, r in residuals.items()]
+        every = [self.noise.innovation(name, values, r, flow["X"], o.start) for name, r in residuals.items()]
+        return [(z, -0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - log_sd) for z, log_sd in every]
 
     def _flow(self, x: Float[Array, " k"]) -> Mapping[str, Array]:
         return self.model.flow(self.values(x), self.observations.signals, self.observations.aircraft)
