@@ -368,15 +368,3 @@ def log_score_gain(
     # `inflation`.
     difference = (after - before) / inflation
     return float(difference.sum()), standard_error_of_sum(difference, lengths)
-
-
-def log_score_gains(
-    names: Sequence[str],
-    before: Float[np.ndarray, "m c"],
-    after: Float[np.ndarray, "m c"],
-    inflation: float,
-    lengths: Sequence[int],
-) -> dict[str, tuple[float, float]]:
-    """`log_score_gain` of each output by itself, by name; log densities are (m, c)."""
-    pairs = zip(names, before.T, after.T, strict=True)
-    return {name: log_score_gain(one, other, inflation, lengths) for name, one, other in pairs}
