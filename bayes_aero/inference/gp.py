@@ -387,18 +387,15 @@ def validate(
     progress: Progress | None = None,
 ) -> GPReport:
     """Train on each split's training points and score on its test points, both models on the same ones."""
-    # A split that the records do not allow (`manoeuvre` with one record) is left out.
-    began, names, left_out = time.perf_counter(), observations.coefficients, ()
-    splits = {}
+    # A split that the records do not allow is left out: of one manoeuvre alone, or of one shorter than two blocks.
+    began, names, left_out, splits = time.perf_counter(), observations.coefficients, (), {}
     for kind in KINDS:
-        short = too_short(observations.manoeuvre, observations.dt) if kind == "block" else None
-        if short is not None:
-            left_out = (
-                f"The Gaussian process was not tested on hold-out blocks: {observations.names[short]} is shorter than "
-                f"two blocks of {BLOCK_SECONDS:g} s.",
-            )
-        elif kind != "manoeuvre" or len(observations.names) > 1:
+        try:
             splits[kind] = make_splits(kind, observations.manoeuvre, observations.dt, training.seed)
+        except InputError:
+            if kind == "block":
+                shortest = f"a manoeuvre is shorter than two blocks of {BLOCK_SECONDS:g} s"
+                left_out = (f"The Gaussian process was not tested on hold-out blocks: {shortest}.",)
     chosen = next(k for k in (training.chosen, "block", "random") if k in splits)
     largest = max(len(f.train_idx) for folds in splits.values() for f in folds)
     if largest > MAX_SAMPLES:
@@ -540,10 +537,3 @@ def make_splits(
         for b in rng.permutation(count)[:n_train]:
             train[blocks[b]] = True
     return [HoldoutSplit.of(train)]
-
-
-def too_short(manoeuvre_index: Index, dt: float, block_seconds: float = BLOCK_SECONDS) -> int | None:
-    """The first manoeuvre that has no two blocks; None where all have."""
-    names, samples = np.unique(np.asarray(manoeuvre_index), return_counts=True)
-    short = names[samples // max(round(block_seconds / dt), 1) < 2]
-    return int(short[0]) if len(short) else None
