@@ -294,15 +294,11 @@ class GPFit:
 
     def predict(self, X_new: Matrix, *, draws: int = 24) -> Prediction:
         """Predictive distribution at X_new (k, d), physical units, over `draws` of the posterior or at the MAP."""
-        X_new, d = np.asarray(X_new, float), len(self.input_names)
-        if X_new.ndim != 2 or X_new.shape[1] != d or not np.all(np.isfinite(X_new)):
-            shape = f"(k, {d}) for {', '.join(self.input_names)}; got shape {X_new.shape}"
-            raise InputError(f"Inputs to predict at must be finite, {shape}.")
         thetas = self.optima[0].theta[None]
         if self.draws is not None:
             count = min(draws, len(self.draws))
             thetas = self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
-        x_new = self.scaling.inputs(X_new)
+        x_new = self.scaling.inputs(np.asarray(X_new, float))
         with blas_threads(self.data.n):
             parts = [gaussian_parts(t, self.data, x_new) for t in thetas]
         means, latent = (np.array(p) for p in zip(*parts, strict=True))

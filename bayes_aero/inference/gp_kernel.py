@@ -63,25 +63,17 @@ class Scaling:
     rms: float
 
     @classmethod
-    def of(cls, X: np.ndarray, y: np.ndarray, names: tuple[str, ...]) -> Scaling:
-        """Scaling of training inputs (n, d) and output (n,); data that cannot be fitted are refused."""
-        if X.ndim != 2 or y.shape != X.shape[:1] or len(names) != X.shape[1]:
-            raise InputError(f"Inputs {X.shape}, output {y.shape} and {len(names)} input names do not go together.")
+    def of(cls, X: Float[np.ndarray, "n d"], y: Float[np.ndarray, " n"], names: tuple[str, ...]) -> Scaling:
+        """Scaling of training inputs and output; data that cannot be fitted are refused."""
         n, d = X.shape
         if n < 2 * d + 4:
             raise InputError(f"{n} samples cannot determine {2 * d + 3} hyperparameters; give more samples.")
-        for name, column in (*zip(names, X.T, strict=True), ("output", y)):
-            if not np.all(np.isfinite(column)):
-                at = int(np.flatnonzero(~np.isfinite(column))[0])
-                raise InputError(f"{name} is not finite at sample {at}; remove or repair that sample.")
-        mean, sd, rms = X.mean(axis=0), X.std(axis=0), float(np.sqrt(np.mean(y**2)))
+        mean, sd = X.mean(axis=0), X.std(axis=0)
         flat = sd <= 1e-12 * (np.abs(mean) + np.max(np.abs(X), axis=0))
         if np.any(flat):
             which = ", ".join(n for n, f in zip(names, flat, strict=True) if f)
             raise InputError(f"Input {which} does not vary over the training samples; leave it out of the GP.")
-        if not rms > 0:
-            raise InputError("The output is zero at every training sample; there is nothing to model.")
-        return cls(mean, sd, rms)
+        return cls(mean, sd, float(np.sqrt(np.mean(y**2))))
 
     def inputs(self, X: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
         return (X - self.mean) / self.sd

@@ -209,9 +209,9 @@ def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, "
 
 def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
     """The manoeuvres without spikes, and the number of replaced samples by channel; see `without_spikes`."""
-    channels, count = without_spikes(flights.channels, flights.lengths)
-    kept = {name: namespace(x).asarray(channels[name]) if name in count else x for name, x in flights.channels.items()}
-    return replace(flights, channels=kept), count
+    mended, count = without_spikes(flights.channels, flights.lengths)
+    mended = {name: namespace(flights.channels[name]).asarray(x) for name, x in mended.items()}
+    return replace(flights, channels=flights.channels | mended), count
 
 
 MIN_WINDOW_SHARE = 0.5  # of a window: a shorter remainder at the end of a manoeuvre joins the window before it
@@ -241,22 +241,22 @@ SMALL_STEP = 0.1  # of the large steps
 def without_spikes(
     channels: Mapping[str, AnyArray], lengths: Sequence[int]
 ) -> tuple[dict[str, Shaped[np.ndarray, " n"]], dict[str, int]]:
-    """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel."""
+    """Channels with isolated spikes, replaced by the median of their neighbours; the count of replaced samples."""
     # A sample is a spike if it differs from the median of five by more than `SPIKE_FACTOR` local standard deviations
     # and by more than `STEP_FACTOR` typical steps of the channel. Steps, buffet and the sharp peaks of a doublet are
     # kept: the median follows a step, the local deviation grows with buffet, and a peak differs from the median by no
     # more than the channel changes in a sample. A few steps of a quantised channel are no spike. The `END_SAMPLES` at
     # either end are not repaired, because smoothing does not reach them and their neighbours are on one side. Source:
     # Hampel's identifier.
-    repaired_channels, count = {name: np.asarray(x) for name, x in channels.items()}, {}
-    for name in (name for name in SPIKED if name in repaired_channels):
-        parts = np.split(repaired_channels[name], np.cumsum(lengths)[:-1])
+    mended, count = {}, {}
+    for name in (name for name in SPIKED if name in channels):
+        parts = np.split(np.asarray(channels[name]), np.cumsum(lengths)[:-1])
         medians = [median_filter(part, 5, mode="nearest") for part in parts]
         spikes = list(map(_spikes, parts, medians))
         if any(at.any() for at in spikes):
-            mended = list(map(np.where, spikes, medians, parts))
-            repaired_channels[name], count[name] = np.concatenate(mended), int(sum(at.sum() for at in spikes))
-    return repaired_channels, count
+            mended[name] = np.concatenate(list(map(np.where, spikes, medians, parts)))
+            count[name] = int(sum(at.sum() for at in spikes))
+    return mended, count
 
 
 def _spikes(part: Float[np.ndarray, " n"], median: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -280,12 +280,12 @@ def _spikes(part: Float[np.ndarray, " n"], median: Float[np.ndarray, " n"]) -> B
 
 def despiked_records(records: Sequence[FlightRecord]) -> tuple[list[FlightRecord], dict[str, int]]:
     """The records without spikes, and the number of replaced samples by channel; see `without_spikes`."""
-    repaired_channels, count = [], {}
+    repaired, count = [], {}
     for record in records:
-        channels, spikes = without_spikes(record.channels, (record.n,))
+        mended, spikes = without_spikes(record.channels, (record.n,))
         count |= {name: count.get(name, 0) + replaced for name, replaced in spikes.items()}
-        repaired_channels.append(replace(record, channels=channels))
-    return repaired_channels, count
+        repaired.append(replace(record, channels={**record.channels, **mended}))
+    return repaired, count
 
 
 # --- Removal of an axis from a card where records lack its channels.

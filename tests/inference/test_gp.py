@@ -423,8 +423,6 @@ def test_a_fit_without_sampling_says_so_and_takes_jax_arrays(at_map):
     X, y = make(0)
     again = fit_gp(jnp.asarray(X), jnp.asarray(y), budget=FOUR, sample=False)
     assert again.optima[0].value == at_map.optima[0].value
-    with pytest.raises(InputError, match="alpha, V"):
-        at_map.predict(np.zeros((3, 3)))
 
 
 @pytest.mark.parametrize(
@@ -432,11 +430,9 @@ def test_a_fit_without_sampling_says_so_and_takes_jax_arrays(at_map):
     [
         (lambda X, y: (X[:6], y[:6]), "6 samples cannot"),
         (lambda X, y: (np.tile(X, (81, 1)), np.tile(y, 81)), "8000"),
-        (lambda X, y: (np.where(np.arange(100)[:, None] == 7, np.nan, X), y), "x0 is not finite at sample 7"),
         (lambda X, y: (X * [0.0, 1.0], y), "x0 does not vary"),
-        (lambda X, y: (X, 0.0 * y), "zero at every"),
     ],
-    ids=["few", "many", "nan", "constant", "zero"],
+    ids=["few", "many", "constant"],
 )
 def test_what_cannot_be_fitted_is_refused_in_words(change, says):
     with pytest.raises(InputError, match=says):
