@@ -202,6 +202,7 @@ def posterior_tree(
 # draws; its quantiles are those of the mixture, not of a Gaussian with the mixture's sd. All are of the *measured*
 # output: latent function plus white noise (see the caveat in `gp_kernel.py` on what white noise means here).
 LEVELS = (0.5, 0.9, 0.95)
+JITTER = 1e-11  # of the mean variance, on the diagonal: above rounding, where there is no noise
 
 
 class Prediction(NamedTuple):
@@ -254,7 +255,7 @@ def gaussian_parts(
         return e[0] ** 2 + (a * slope) @ b.T + sf2 * kernel.scaled_distance_kernel(a / length, b / length)
 
     K = covariance(data.x, data.x)
-    K[np.diag_indices_from(K)] += e[-1] ** 2
+    K[np.diag_indices_from(K)] += e[-1] ** 2 + JITTER * np.trace(K) / len(K)
     lower, cross = cholesky(K, lower=True, overwrite_a=True, check_finite=False), covariance(data.x, x_new)
     half, weight = (solve_triangular(lower, b, lower=True, check_finite=False) for b in (cross, data.fy[:, d + 1]))
     variance = e[0] ** 2 + x_new**2 @ slope + sf2 - np.einsum("ij,ij->j", half, half)
@@ -270,7 +271,6 @@ MAX_SAMPLES = 8000
 class GPFit:
     """A trained GP."""
 
-    input_names: tuple[str, ...]
     scaling: kernel.Scaling
     data: kernel.ReducedData
     optima: tuple[kernel.Optimum, ...]  # the distinct ones found, best first
@@ -338,7 +338,7 @@ def fit_gp(
             optima = tuple(kernel.distinct([*optima, another], len(optima) + 1))
         at = systematic_resample(sampled.log_weight, budget.seed)
         draws, tree = sampled.theta[at], posterior_tree(sampled, at, scaling, priors, names, output_name, budget.seed)
-    return GPFit(names, scaling, data, optima, status, sampled, draws, tree)
+    return GPFit(scaling, data, optima, status, sampled, draws, tree)
 
 
 def too_many(n: int) -> str:
