@@ -324,6 +324,7 @@ def as_on_card(parameter: Parameter, card: Card) -> Parameter:
 
 
 # --- A user's own effects: Python files that a card names.
+MAX_BYTES = 1 << 20
 
 
 def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
@@ -333,11 +334,13 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
     effects: dict[str, Effect] = {}
     for path in files:
         try:
-            text = path.read_text(encoding="utf-8") if path.is_file() else None
+            if not path.is_file():
+                raise FileNotFoundError("there is no such file")
+            if path.stat().st_size > MAX_BYTES:
+                raise ValueError(f"it has more than {MAX_BYTES} bytes")
+            text = path.read_text(encoding="utf-8")
         except (OSError, ValueError) as error:
             raise InputError(f"effect file {path} cannot be read ({error}); mend the path on the card") from None
-        if text is None:
-            raise InputError(f"there is no effect file {path}; mend the path on the card")
         for effect in _run(path, text):
             if effect.name in CATALOGUE or effect.name in effects:
                 raise InputError(f"effect file {path}: the name {effect.name} is taken; give the effect another one")

@@ -215,7 +215,12 @@ def test_lifting_the_bound_of_a_linear_fit_gives_the_free_fit():
     gradient = X.T @ (y - X @ held) / 0.01
     sd = np.sqrt(np.diag(np.linalg.inv(A)))
     (found,) = active_bounds(
-        [parameter("CLa", bounds=(2.5, 3.2)), parameter("CLaM")], held, gradient, np.linalg.inv(A), sd, [True, False]
+        [parameter("CLa", bounds=(2.5, 3.2)), parameter("CLaM")],
+        held,
+        gradient,
+        np.linalg.inv(A),
+        sd,
+        np.array([True, False]),
     )
     assert (found.name, found.bound, found.lower) == ("CLa", 3.2, False)
     assert found.unbounded == pytest.approx(free[0], rel=1e-9)
