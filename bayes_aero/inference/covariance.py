@@ -17,6 +17,8 @@ Square = Float[np.ndarray, "k k"]
 Outputs = Float[np.ndarray, " c"]
 Residual = Float[np.ndarray, "n c"]
 Sensitivity = Float[np.ndarray, "n c k"]
+Numbers = Int[np.ndarray, " n"]
+Marks = Bool[np.ndarray, " n"]
 
 BLOCK = 0.2  # s; smoothed residuals vary no faster
 MIN_INNOVATIONS = 10  # for each coefficient of an autoregression; with fewer, blocks count as independent
@@ -24,13 +26,7 @@ MIN_RESIDUAL_SHARE = 0.05  # least share 1 - h of an innovation that the fit lea
 
 
 def robust_covariance(
-    D: Square,
-    S: Sensitivity,
-    R: Outputs,
-    residual: Residual,
-    manoeuvre: Int[np.ndarray, " n"],
-    start: Bool[np.ndarray, " n"],
-    dt: float,
+    D: Square, S: Sensitivity, R: Outputs, residual: Residual, manoeuvre: Numbers, start: Marks, dt: float
 ) -> tuple[Square, int]:
     """Covariance D M D of the estimate, with M that of the score sum S' R^-1 r, and the number of blocks."""
     # Residuals are averaged over blocks of `BLOCK` seconds and whitened by an autoregression for each coefficient (the
@@ -101,13 +97,8 @@ def autocovariance(residual: Float[np.ndarray, "n c"], lags: int) -> Float[np.nd
 
 
 def corrected_covariance(
-    D: Square,
-    S: Sensitivity,
-    R: Outputs,
-    residual: Residual,
-    manoeuvre: Int[np.ndarray, " n"],
-    start: Bool[np.ndarray, " n"],
-) -> Float[np.ndarray, "k k"]:
+    D: Square, S: Sensitivity, R: Outputs, residual: Residual, manoeuvre: Numbers, start: Marks
+) -> Square:
     """D [sum_i S_i' R^-1 sum_j Rvv(i-j) R^-1 S_j] D with D = (sum S' R^-1 S)^-1, manoeuvre by manoeuvre."""
     # Source: corrected bound of Morelli and Klein, J. Aircraft 1997; Rvv is the residuals' autocovariance. Manoeuvres
     # are taken as independent. Where samples are left out (`start` inside a manoeuvre) only whole stretches count as

@@ -205,6 +205,9 @@ LEVELS = (0.5, 0.9, 0.95)
 JITTER = 1e-11  # of the mean variance, on the diagonal: above rounding, where there is no noise
 
 
+OfDraws = Float[np.ndarray, "draws n"]
+
+
 class Prediction(NamedTuple):
     """Predictive distribution at n points, in the unit of the output."""
 
@@ -215,12 +218,7 @@ class Prediction(NamedTuple):
     high: Float[np.ndarray, "levels n"]
 
     @classmethod
-    def of_mixture(
-        cls,
-        means: Float[np.ndarray, "draws n"],
-        latent: Float[np.ndarray, "draws n"],
-        noise: Float[np.ndarray, " draws"],
-    ) -> Prediction:
+    def of_mixture(cls, means: OfDraws, latent: OfDraws, noise: Float[np.ndarray, " draws"]) -> Prediction:
         """Equal-weight mixture of Gaussians with `means`, latent variances and noise variances."""
         variance = latent + noise[:, None]
         sds = np.sqrt(variance)

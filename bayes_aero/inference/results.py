@@ -30,6 +30,7 @@ if TYPE_CHECKING:  # they load JAX, which checks of records do without
     from bayes_aero.model.model import Model
     from bayes_aero.model.observations import Colour, Observations
 
+OfEach = Float[np.ndarray, " k"]
 FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which a record is too short for intervals; our choice
 LARGE_BIAS = 0.75  # of the corrected standard error, which contains the bias
 
@@ -57,7 +58,7 @@ class Estimates:
     """
 
     parameters: tuple[Parameter, ...]
-    estimate: Float[np.ndarray, " k"]
+    estimate: OfEach
     covariance: Float[np.ndarray, "k k"]
     corrected: Float[np.ndarray, "k k"]
 
@@ -72,12 +73,12 @@ class Estimates:
         return tuple(p.unit for p in self.parameters)
 
     @property
-    def crb(self) -> Float[np.ndarray, " k"]:
+    def crb(self) -> OfEach:
         """Cramer-Rao standard errors, shape (k,); they assume white residuals."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def crb_corrected(self) -> Float[np.ndarray, " k"]:
+    def crb_corrected(self) -> OfEach:
         """Standard errors with the residuals' autocorrelation and varying size, shape (k,)."""
         return np.sqrt(np.diag(self.corrected))
 
@@ -95,7 +96,7 @@ class MleResult(Estimates):
     status: MleStatus
     iterations: int
     at_bound: tuple[str, ...]
-    eigenvalues: Float[np.ndarray, " k"]
+    eigenvalues: OfEach
     separation: tuple[float, float]
     fit: dict[str, Scores]
     lag1: dict[str, float]
@@ -103,7 +104,7 @@ class MleResult(Estimates):
     active_bounds: tuple[ActiveBound, ...] = ()
     conflicts: tuple[PriorConflict, ...] = ()
     blocks: int | None = None
-    bias: Float[np.ndarray, " k"] | None = None
+    bias: OfEach | None = None
 
     @property
     def det_R(self) -> float:
@@ -215,9 +216,9 @@ class Inseparable:
 def inseparable(
     names: Sequence[str],
     units: Sequence[str],
-    estimate: Float[np.ndarray, " k"],
+    estimate: OfEach,
     covariance: Float[np.ndarray, "k k"],
-    deviation: Float[np.ndarray, " k"],
+    deviation: OfEach,
 ) -> tuple[Inseparable, ...]:
     """Sets of parameters that the record cannot separate, at least one of them with a large relative error."""
     # The set with the largest variance inflation comes first. `covariance` of Cramer and Rao: a parameter without
@@ -275,7 +276,7 @@ class FrequencyFit(Estimates):
     unseen: tuple[str, ...]  # free parameters that drop out with bias and drift
     converged: bool
     at_bound: tuple[str, ...] = ()  # parameters that the band would move beyond a bound, and that are held there
-    bias: Float[np.ndarray, " k"] | None = None
+    bias: OfEach | None = None
     apart: Mapping[str, float] = field(default_factory=dict)  # from the time domain, in standard errors of that
 
 

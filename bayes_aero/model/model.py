@@ -324,6 +324,7 @@ def as_on_card(parameter: Parameter, card: Card) -> Parameter:
 
 
 # --- A user's own effects: Python files that a card names.
+
 MAX_BYTES = 1 << 20
 
 
