@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # they load JAX, which checks of records do without
     from bayes_aero.model.model import Model
     from bayes_aero.model.observations import Colour, Observations
 
-OfEach = Float[np.ndarray, " k"]
+OfEach, OfPairs = Float[np.ndarray, " k"], Float[np.ndarray, "k k"]
 FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which a record is too short for intervals; our choice
 LARGE_BIAS = 0.75  # of the corrected standard error, which contains the bias
 
@@ -59,8 +59,8 @@ class Estimates:
 
     parameters: tuple[Parameter, ...]
     estimate: OfEach
-    covariance: Float[np.ndarray, "k k"]
-    corrected: Float[np.ndarray, "k k"]
+    covariance: OfPairs
+    corrected: OfPairs
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -112,7 +112,7 @@ class MleResult(Estimates):
         return float(np.prod(self.R))
 
     @property
-    def correlation(self) -> Float[np.ndarray, "k k"]:
+    def correlation(self) -> OfPairs:
         """Correlation of the estimates from the Cramer-Rao covariance, shape (k, k)."""
         return self.covariance / np.outer(self.crb, self.crb)
 
@@ -217,7 +217,7 @@ def inseparable(
     names: Sequence[str],
     units: Sequence[str],
     estimate: OfEach,
-    covariance: Float[np.ndarray, "k k"],
+    covariance: OfPairs,
     deviation: OfEach,
 ) -> tuple[Inseparable, ...]:
     """Sets of parameters that the record cannot separate, at least one of them with a large relative error."""
@@ -271,7 +271,7 @@ class FrequencyFit(Estimates):
     method: str  # equation error or output error
     band: tuple[float, float]  # lowest and highest frequency, Hz
     lines: int  # number of frequencies, of all manoeuvres together
-    inner: Mapping[str, Float[np.ndarray, "k k"]]  # inner products of the sensitivities by output
+    inner: Mapping[str, OfPairs]  # inner products of the sensitivities by output
     R: Mapping[str, float]  # variance of the residuals by output; white noise has the same at the samples
     unseen: tuple[str, ...]  # free parameters that drop out with bias and drift
     converged: bool
