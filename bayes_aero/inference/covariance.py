@@ -58,7 +58,7 @@ def robust_covariance(
         samples,
     ) in stretches:  # innovations e = A r, and A^-T of the weighed sensitivities: e times these is the score
         weighed = slope * samples[:, None, None] / R[:, None]
-        filters = [np.append(1.0, -own) for own in phi]
+        filters = [np.append(1.0, -lags) for lags in phi]
         innovations.append(np.stack([lfilter(f, [1.0], x) for f, x in zip(filters, r.T, strict=True)], axis=1))
         back = [lfilter([1.0], f, weighed[::-1, c], axis=0) for c, f in enumerate(filters)]
         shaped.append(np.stack(back, axis=1)[::-1])
@@ -112,13 +112,13 @@ def corrected_covariance(
         lags = max(1, int(LAG_SHARE * len(longest)))
         covariance = autocovariance(residual[longest], lags)
         for stretch in stretches:  # sum_ij W_i' Rvv(i-j) W_j by convolution over time
-            own, n = W[stretch], len(stretch)
+            weighed, n = W[stretch], len(stretch)
             size = int(next_fast_len(n + 2 * lags) or n + 2 * lags)
             kernel = np.zeros((size, *covariance.shape[1:]))
             kernel[np.arange(-lags, lags + 1)] = covariance
-            spectra = np.fft.rfft(kernel, axis=0), np.fft.rfft(own, size, axis=0)
+            spectra = np.fft.rfft(kernel, axis=0), np.fft.rfft(weighed, size, axis=0)
             spread = np.fft.irfft(np.einsum("fij,fjk->fik", *spectra), size, axis=0)[:n]
-            total += np.einsum("nci,ncj->ij", own, spread)
+            total += np.einsum("nci,ncj->ij", weighed, spread)
     return D @ total @ D
 
 

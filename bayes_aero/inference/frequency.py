@@ -348,11 +348,11 @@ def _modelled(
                 shares[columns.index(name), i] = factor / size
         B, D = system.matrix[:s, s:] @ shares, system.matrix[s:, s:] @ shares
         X = jnp.linalg.solve(w[:, None, None] * jnp.eye(s) - system.matrix[:s, :s], B + 0j)
-        found = {name: X[:, i] for i, name in enumerate(dynamics.states)}
+        response = {name: X[:, i] for i, name in enumerate(dynamics.states)}
         for row, name in enumerate(system.read):
             more = jnp.einsum("s,fsi->fi", system.matrix[s + row, :s] + 0j, X) + D[row]
-            found[name] = more + found.get(name, 0.0)
+            response[name] = more + response.get(name, 0.0)
         delayed = {name: jnp.exp(-w * values[p])[:, None] for name, p in late.items()}
-        return jnp.stack([found[name] * delayed.get(name, 1.0) for name in outputs], axis=1)
+        return jnp.stack([response[name] * delayed.get(name, 1.0) for name in outputs], axis=1)
 
     return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(thetas)))

@@ -139,10 +139,10 @@ def sample_posterior(
         if status is SampleStatus.accepted or number == budget.rounds - 1:
             return Weighted(theta, exact, log_weight, k_hat, ess, status)
         share = np.exp(log_weight)  # of the posterior, as far as this round has found it
-        found, spread = share @ us, np.cov(us.T, aweights=share, ddof=0).reshape(covariance.shape)
+        mean, spread = share @ us, np.cov(us.T, aweights=share, ddof=0).reshape(covariance.shape)
         weigh = ess / (ess + len(centre) ** 2)  # few effective draws leave most of the proposal as it was
         covariance = (1.0 - weigh) * covariance + weigh * spread
-        centre = (1.0 - weigh) * centre + weigh * found
+        centre = (1.0 - weigh) * centre + weigh * mean
     raise AssertionError("the last round returns")
 
 
@@ -402,7 +402,7 @@ def validate(
         for c, name in enumerate(names):
             work[kind, number, name] = X, z[:, c], (*inputs, name), splits[kind][number], (sampled, training.seed)
     trained = _trained(work, largest, progress)
-    found: dict[str, list[dict[str, Validation]]] = {kind: [{} for _ in folds] for kind, folds in splits.items()}
+    validated: dict[str, list[dict[str, Validation]]] = {kind: [{} for _ in folds] for kind, folds in splits.items()}
     for kind, folds in splits.items():
         for number, fold in enumerate(folds):
             test = fold.test_idx
@@ -410,9 +410,9 @@ def validate(
             y = model.predicted(jnp.asarray(fit.estimate), observations.signals, observations.aircraft)
             for name, measured, by_mle in zip(names, z[test].T, np.asarray(y)[test].T, strict=True):
                 both = {"measured": measured, "mle": by_mle, "mle_scores": score(measured, by_mle)}
-                found[kind][number][name] = Validation(test=test, **both, **trained[kind, number, name][1])
+                validated[kind][number][name] = Validation(test=test, **both, **trained[kind, number, name][1])
     fits = {name: trained[chosen, 0, name][0] for name in names if training.sample}
-    return GPReport(found, fits, chosen, time.perf_counter() - began, left_out)
+    return GPReport(validated, fits, chosen, time.perf_counter() - began, left_out)
 
 
 def _train(

@@ -281,8 +281,8 @@ def _sensitivities(data: Data, theta: Float[Array, " k"]):
     values = data.model.values(theta)
 
     def predict(name: str, x: Float[Array, ""]) -> tuple[list[Array], Array]:
-        known = data.model.flow(values | {name: x}, data.signals, data.aircraft)
-        return [known[coefficient] for coefficient in data.model.coefficients], known["X"]
+        flow = data.model.flow(values | {name: x}, data.signals, data.aircraft)
+        return [flow[coefficient] for coefficient in data.model.coefficients], flow["X"]
 
     columns = [jax.jvp(partial(predict, name), (values[name],), (jnp.ones(()),)) for name in data.model.names]
     predicted, X = columns[0][0]

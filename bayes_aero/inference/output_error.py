@@ -121,8 +121,8 @@ class NormalEquations:
         def products(number: int) -> tuple[np.ndarray, ...]:
             if number not in self._parts:
                 return ()
-            own = jnp.asarray(departure[self._rows[number]])
-            return tuple(np.asarray(x) for x in _inner_products(self._parts[number], jnp.asarray(theta), own))
+            begin = jnp.asarray(departure[self._rows[number]])
+            return tuple(np.asarray(x) for x in _inner_products(self._parts[number], jnp.asarray(theta), begin))
 
         every = range(len(self._rows))
         if len(self._parts) > 1 and self._compiled:
@@ -136,15 +136,15 @@ class NormalEquations:
         gram, within, columns = (np.concatenate(x)[: len(departure)] for x in every_part)
         return self._point(theta, departure, gram, columns, float(within.sum() / self.count.sum()))
 
-    def extrapolate(self, point: Point, step: Vector, own: OfStates) -> Point:
+    def extrapolate(self, point: Point, step: Vector, of_states: OfStates) -> Point:
         """Normal equations after a short step of parameters and initial states, with residuals linear in the step."""
-        all_steps = np.concatenate([np.tile(step, (len(own), 1)), own], axis=1)
-        transform = np.tile(np.eye(1 + all_steps.shape[1]), (len(own), 1, 1))
+        all_steps = np.concatenate([np.tile(step, (len(of_states), 1)), of_states], axis=1)
+        transform = np.tile(np.eye(1 + all_steps.shape[1]), (len(of_states), 1, 1))
         transform[:, 1:, 0] = -all_steps
         gram = np.einsum("wia,wcij,wjb->wcab", transform, point.gram, transform, optimize=True)
         columns = point.columns.copy()
         columns[..., 0] -= np.einsum("wncj,wj->wnc", point.columns[..., 1:], all_steps)
-        return self._point(point.theta + step, point.departure + own, gram, columns, point.inside)
+        return self._point(point.theta + step, point.departure + of_states, gram, columns, point.inside)
 
     def _point(self, theta: Vector, departure: OfStates, gram: np.ndarray, columns: np.ndarray, inside: float) -> Point:
         prior, total = self.prior, self.count.sum()
@@ -295,15 +295,15 @@ class OutputErrorResult:
         S, own, residual = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :], self.columns[..., 0]
         S = S - np.einsum("wncs,wsk->wnck", own, self.eliminated)  # at optimal initial states
         D, weight = self.covariance, self.priors.weight
-        said = np.diag(self.priors.precision)
-        said = said + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
+        of_priors = np.diag(self.priors.precision)
+        of_priors = of_priors + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
         spread = segments_corrected(D, S, self.R, residual, inside)
         dt = float(np.median(self.flown.dt))
         size = min(max(1, round(BLOCK / dt)), inside.shape[1])
         precision = np.where(self.priors.fixed, np.inf, self.priors.states)
         fit = LinearFit(D, means(S, size), means(own, size), precision, self.R / size, means(inside, size) > 0.0)
         wider = np.sqrt(calibration(fit, means(residual, size), size * dt))
-        return weight * D @ said @ D + spread * np.outer(wider, wider)
+        return weight * D @ of_priors @ D + spread * np.outer(wider, wider)
 
     @property
     def inseparable(self) -> tuple[Inseparable, ...]:
@@ -316,7 +316,7 @@ class OutputErrorResult:
         """Parameters on which the record has little information, so that the prior decides."""
         with np.errstate(divide="ignore"):
             prior = self.priors.precision**-0.5
-        return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > PRIOR_RATIO * own)
+        return tuple(n for n, sd, wide in zip(self.names, self.sd, prior, strict=True) if sd > PRIOR_RATIO * wide)
 
 
 def scaled_eigen(A: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

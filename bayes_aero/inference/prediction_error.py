@@ -364,10 +364,10 @@ def sample_innovations(
     """The posterior by these `engines`, from the `fit` (with priors) of `fit_disturbed`."""
     density = innovations_posterior(flown, R)
     mode = find_mode(density, density.start(fit))
-    asked: Any = {"seed": seed, "progress": progress, "predictive": False}
+    options: Any = {"seed": seed, "progress": progress, "predictive": False}
     samplers = {
-        "emcee": lambda: sample_ensemble(density, mode, length=length.emcee, **asked),
-        "nuts": lambda: sample_nuts(density, mode, length=length.nuts, **asked),
+        "emcee": lambda: sample_ensemble(density, mode, length=length.emcee, **options),
+        "nuts": lambda: sample_nuts(density, mode, length=length.nuts, **options),
     }
     return {engine: samplers[engine]() for engine in engines}
 
@@ -397,9 +397,9 @@ MIN_BEYOND = 2.0  # least number of innovations beyond a quantile
 TINY = 1e-12
 
 
-def one_step(found: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Sequence[str]) -> OneStep:
+def one_step(filtered: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Sequence[str]) -> OneStep:
     """One-step predictions of w filtered segments, from errors (w, n, c), of outputs with two innovations or more."""
-    z, correlation = standardised(found), neighbour_correlation(found)
+    z, correlation = standardised(filtered), neighbour_correlation(filtered)
     columns = [c for c in range(len(outputs)) if np.isfinite(z[..., c]).sum() > 1]
     tests = len(LEVELS) * (len(columns) + (len(columns) > 1))
     by_output = {}
@@ -410,10 +410,10 @@ def one_step(found: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Seque
     return OneStep(by_output, _assess(z[..., columns], None, False, tests))
 
 
-def standardised(found: Filtered) -> Float[np.ndarray, "w n c"]:
+def standardised(filtered: Filtered) -> Float[np.ndarray, "w n c"]:
     """Innovations over their predicted standard deviations, NaN where nothing was measured."""
-    z = np.asarray(found.innovation) / np.sqrt(np.asarray(found.variance))
-    return np.where(np.asarray(found.used), z, np.nan)
+    z = np.asarray(filtered.innovation) / np.sqrt(np.asarray(filtered.variance))
+    return np.where(np.asarray(filtered.used), z, np.nan)
 
 
 def _assess(z: Float[np.ndarray, "w n c"], rms: float | None, coloured: bool, tests: int) -> Predicted:

@@ -244,18 +244,18 @@ def inseparable(
     members = np.array([i for i in np.argsort(-inflation) if inside[i]], int)
     if not len(members):
         return ()
-    _, part = connected_components(np.abs(partial)[np.ix_(members, members)] > MIN_PARTIAL, directed=False)
-    parts = [members[part == number] for number in dict.fromkeys(part)]
+    _, label = connected_components(np.abs(partial)[np.ix_(members, members)] > MIN_PARTIAL, directed=False)
+    parts = [members[label == number] for number in dict.fromkeys(label)]
     sets = []
-    for own in (part for part in parts if len(part) > 1):
-        at = free[own]
+    for part in (part for part in parts if len(part) > 1):
+        at = free[part]
         if any(vague[at]):
             sets.append(
                 Inseparable(
                     tuple(names[i] for i in at),
                     tuple(units[i] for i in at),
                     tuple((float(estimate[i]), float(deviation[i])) for i in at),
-                    tuple(float(np.sqrt(inflation[i])) for i in own),
+                    tuple(float(np.sqrt(inflation[i])) for i in part),
                 )
             )
     return tuple(sets)
@@ -614,10 +614,10 @@ class OneStep:
     @property
     def status(self) -> str:
         """`calibrated`, `not_calibrated`, or `undecided` where there are too few innovations to tell."""
-        found = {one.calibration for one in (*self.outputs.values(), self.together)}
-        if found == {Calibration.CALIBRATED}:
+        verdicts = {one.calibration for one in (*self.outputs.values(), self.together)}
+        if verdicts == {Calibration.CALIBRATED}:
             return "calibrated"
-        return "undecided" if found <= {Calibration.CALIBRATED, Calibration.UNDECIDED} else "not_calibrated"
+        return "undecided" if verdicts <= {Calibration.CALIBRATED, Calibration.UNDECIDED} else "not_calibrated"
 
 
 def score(measured: Vector, predicted: OfPoints) -> Scores:

@@ -168,7 +168,7 @@ def search_modes(
         return max(modes, key=lambda mode: mode.log_density)
     distinct: list[PosteriorMode] = []
     for mode in sorted(positive_definite, key=lambda mode: -mode.log_mass):
-        if all(abs(mode.log_density - known.log_density) > SAME_LOG_DENSITY for known in distinct):
+        if all(abs(mode.log_density - other.log_density) > SAME_LOG_DENSITY for other in distinct):
             distinct.append(mode)
     mass = np.exp([mode.log_mass - distinct[0].log_mass for mode in distinct])
     difference = abs(modes[0].log_density - distinct[0].log_density)

@@ -38,10 +38,10 @@ def _register(kind: type, static: Collection[str] = ()) -> None:
         leaves = [(jax.tree_util.GetAttrKey(name), getattr(whole, name)) for name in names]
         return leaves, tuple(getattr(whole, name) for name in static)
 
-    def whole(known: tuple[Any, ...], leaves: Any) -> Any:
+    def whole(fixed: tuple[Any, ...], leaves: Any) -> Any:
         """Without the constructor's checks, because JAX replaces numbers by tracers."""
         made = object.__new__(kind)
-        for name, part in zip((*names, *static), (*leaves, *known), strict=True):
+        for name, part in zip((*names, *static), (*leaves, *fixed), strict=True):
             object.__setattr__(made, name, part)
         return made
 
@@ -354,8 +354,8 @@ class Density(LogDensity):
     def values(self, x: Float[Array, " k"]) -> dict[str, Any]:
         """Values of all parameters, fixed ones too, by name, with the bias that recording noise gives them."""
         if self.bias is not None:
-            own = len(self.bias)
-            x = jnp.concatenate([x[:own] + self.bias, x[own:]])
+            k = len(self.bias)
+            x = jnp.concatenate([x[:k] + self.bias, x[k:]])
         return dict(self.model.fixed) | {name: x[i] for i, name in enumerate(self.names)}
 
     def predict(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:

@@ -310,9 +310,9 @@ def on_recorded_axes(
     lacking: dict[Axis, tuple[str, list[str]]] = {}  # the first record that lacks channels of an axis, and these
     for axis in card.axes:
         channels = (channel for effect in every if effect.axes == (axis,) for channel in effect.channels)
-        asked = dict.fromkeys((*needed[axis], *channels))
+        required = dict.fromkeys((*needed[axis], *channels))
         for name, have in present:
-            if lacks := [need for need in asked if need not in have and need not in made]:
+            if lacks := [need for need in required if need not in have and need not in made]:
                 lacking.setdefault(axis, (name, lacks))
     kept = tuple(axis for axis in card.axes if axis not in lacking)
     if not kept or kept == card.axes:
