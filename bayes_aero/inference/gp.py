@@ -387,6 +387,8 @@ def validate(
         try:
             splits[kind] = make_splits(kind, observations.manoeuvre, observations.dt, training.seed)
         except InputError:
+            if kind == "random":
+                raise
             if kind == "block":
                 shortest = f"a manoeuvre is shorter than two blocks of {BLOCK_SECONDS:g} s"
                 left_out = (f"The Gaussian process was not tested on hold-out blocks: {shortest}.",)
