@@ -150,9 +150,11 @@ def pareto_smooth(log_ratio: Float[np.ndarray, "*shape"]) -> tuple[Float[np.ndar
     """Normalised smoothed log weights and Pareto k. (ArviZ's psislw takes *minus* the log-ratio, as in LOO.)"""
     if np.ptp(log_ratio) < 1e-12:
         return np.full(log_ratio.shape, -np.log(log_ratio.size)), -np.inf  # no error, hence no tail to fit
-    log_ratio = np.maximum(log_ratio, np.max(log_ratio) - 700.0)  # a weight of nothing is finite in the logarithm
-    smoothed, k_hat = array_stats.psislw(-log_ratio.ravel())
-    smoothed = np.asarray(smoothed)
+    log_ratio = np.maximum(log_ratio, np.max(log_ratio) - 300.0)  # a weight of nothing is finite in the logarithm
+    with np.errstate(divide="ignore", invalid="ignore"):  # where nearly all weight is that of a few draws
+        smoothed, k_hat = (np.asarray(x, float) for x in array_stats.psislw(-log_ratio.ravel()))
+    if not (np.all(np.isfinite(smoothed)) and np.isfinite(k_hat)):
+        smoothed, k_hat = log_ratio.ravel(), np.inf
     return (smoothed - float(np.asarray(logsumexp(smoothed)))).reshape(log_ratio.shape), float(k_hat)
 
 

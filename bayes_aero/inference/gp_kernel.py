@@ -454,7 +454,7 @@ def best_sizes(
             return 1e300, np.zeros(w.size)
         return -at.value, -at.by_w
 
-    options = {"ftol": 1e-14, "gtol": 1e-6, "maxiter": 200}
+    options = {"ftol": 0.0, "gtol": 1e-6, "maxiter": 500}
     start, bounds = np.clip(w, *SD_BOUNDS), [SD_BOUNDS] * w.size
     w = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
     return w, slopes(w, point, n, priors)
