@@ -34,15 +34,15 @@ from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.health import Consistency, HealthFinding
 from bayes_aero.flight.reading import check_arrays, read_records, without_bad_options
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.gp import SplitKind, Training, validate
 from bayes_aero.inference.pooled import check_manoeuvres
 from bayes_aero.inference.results import Identification, MleResult, Posterior
-from bayes_aero.inference.sampling import sample_ensemble, sample_nuts
-from bayes_aero.inference.validation import SplitKind, Training, pit_of, validate
+from bayes_aero.inference.sampling import pit_of, sample_ensemble, sample_nuts
 from bayes_aero.jobs.check import RecordChecks, record_checks, repaired
 from bayes_aero.jobs.identify import IdentificationJob, pooled_manoeuvres, sampled
 from bayes_aero.jobs.options import FormingName, IdentifyOptions, NoiseName
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour
+from bayes_aero.model.observations import Colour
 from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.pages.diagnosis import (

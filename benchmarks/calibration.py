@@ -19,7 +19,6 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
@@ -28,14 +27,13 @@ from jaxtyping import Float, Int
 from studies import parser_of, rows_of, run_seeds
 
 from bayes_aero.flight.card import read_card
-from bayes_aero.inference.gp.kernel import Priors, ReducedData, find_map, hyper_names
-from bayes_aero.inference.gp.posterior import Budget, SampleStatus, Settings, sample_posterior, systematic_resample
+from bayes_aero.inference.gp import Budget, sample_posterior, systematic_resample
+from bayes_aero.inference.gp_kernel import Priors, ReducedData, find_map
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import Posterior
 from bayes_aero.inference.sampling import density_start, sample_ensemble, sample_nuts, search_modes
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Density, Noise
-from bayes_aero.model.observations import Observations, observe
+from bayes_aero.model.observations import Colour, Density, Noise, Observations, observe
 from bayes_aero.simulate.demo import simulate_stall
 
 DRAWS = 99  # posterior draws that a truth is ranked among: ranks 0 to 99
@@ -114,24 +112,25 @@ def stall_replicate(model: Model, observations: Observations, engine: str, seed:
 
 
 def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], seed: int) -> Replicate:
-    """Hyperparameters drawn from their priors, a sample function with noise, sampled through the stand-in.
+    """Hyperparameters drawn from their priors, a sample function with noise, sampled by exact weights.
 
-    `inputs` in deviations. Draws are those that exact weights resample; where they were refused, the stand-in's.
+    `inputs` in deviations. Draws are those that exact weights resample.
     """
     rng, priors = np.random.default_rng([seed, 6]), Priors()
     d = inputs.shape[1]
-    theta = np.asarray(priors.sample(jax.random.PRNGKey(seed), d, 1))[0]
+    theta = priors.sample(rng, d, 1)[0]
     y = np.linalg.cholesky(covariance(theta, inputs)) @ rng.standard_normal(len(inputs))
     data = ReducedData.of(inputs, y)
     best = find_map(data, priors, starts=4, polish=1, seed=seed)[0]
-    budget = Budget(exact=400, nuts=Settings(300, 500, 4), seed=seed)
-    found = sample_posterior(best, data, priors, budget=budget)
-    flat = found.chains.theta.reshape(-1, theta.size)
-    if found.weighted is not None and found.status is SampleStatus.accepted:
-        drawn = found.weighted.theta.reshape(-1, theta.size)
-        flat = drawn[systematic_resample(found.weighted.log_weight, seed)]
-    own = rank(theta, rng.permutation(flat))
+    found = sample_posterior(best, data, priors, budget=Budget(draws=400, seed=seed))
+    own = rank(theta, rng.permutation(found.theta[systematic_resample(found.log_weight, seed)]))
     return Replicate(seed, dict(zip(hyper_names(names), map(int, own), strict=True)), found.status.name)
+
+
+def hyper_names(input_names: tuple[str, ...]) -> list[str]:
+    """Flat names in the order of theta."""
+    linear, length = ([f"{kind}[{name}]" for name in input_names] for kind in ("linear", "length_scale"))
+    return ["constant", *linear, "signal", *length, "noise"]
 
 
 def covariance(theta: Float[np.ndarray, " p"], x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n n"]:

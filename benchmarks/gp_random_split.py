@@ -15,11 +15,10 @@ import numpy as np
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
-from bayes_aero.inference.gp import gaussian_parts
-from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling, curvature, find_map, maximise
+from bayes_aero.inference.gp import gaussian_parts, gp_inputs, make_splits
+from bayes_aero.inference.gp_kernel import Priors, ReducedData, Scaling, find_map, maximise
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import score
-from bayes_aero.inference.validation import gp_inputs, make_splits
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.aircraft import NAMES
@@ -32,8 +31,7 @@ def best_optimum(data, seed, warm):
     """Best optimum found on the scaled data: the full search without `warm`, else from there."""
     if warm is None:
         return find_map(data, PRIORS, seed=seed)[0]
-    optimum, covariance = warm
-    return maximise(optimum.u, data, PRIORS, w=optimum.theta[:6], covariance=covariance)
+    return maximise(warm.u, data, PRIORS, w=warm.theta[:6])
 
 
 def main():
@@ -62,7 +60,7 @@ def main():
             data = ReducedData.of(scaling.inputs(X[fold.train_idx]), y / scaling.rms)
             best = best_optimum(data, seed, warm.get(name))
             if name not in warm:
-                warm[name] = best, curvature(best, data, PRIORS)[0]
+                warm[name] = best
             mean, _ = gaussian_parts(best.theta, data, scaling.inputs(X[fold.test_idx]))
             gp, mle = score(measured, scaling.rms * mean), score(measured, predicted[fold.test_idx, i])
             margins[name].append((gp.r - mle.r, gp.rmse / mle.rmse))

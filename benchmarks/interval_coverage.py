@@ -40,8 +40,7 @@ from bayes_aero.inference.mle import fit_mle, without_noise_bias
 from bayes_aero.inference.sampling import EnsembleLength, density_start, find_mode, sample_ensemble
 from bayes_aero.jobs.fly import fly
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import DEFAULT, Colour, Density, Noise
-from bayes_aero.model.observations import Observations, observe
+from bayes_aero.model.observations import DEFAULT, Colour, Density, Noise, Observations, observe
 from bayes_aero.simulate.demo import TRUTH, Request, simulate_stall
 from bayes_aero.simulate.injection import hidden_flights, synthetic
 

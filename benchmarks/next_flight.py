@@ -24,16 +24,15 @@ from calibration import band_of, rank
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.pooled import SCATTER, Hierarchy, from_prior_units, next_flight, pool, to_prior_units
-from bayes_aero.inference.sampling import NutsLength, WarmUp
+from bayes_aero.inference.sampling import NutsLength
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import DEFAULT, Density, Noise
-from bayes_aero.model.observations import Observations, observe
+from bayes_aero.model.observations import DEFAULT, Density, Noise, Observations, observe
 from bayes_aero.simulate.demo import DISTURBANCE, TRUTH, simulate_stall
 
 NAMES = ("first", "second", "third")
 SPREAD = 0.15  # of the flown aircraft between stalls, in standard deviations of the priors
 WIDTHS = (0.5, 0.9, 0.95)
-LENGTH = NutsLength(warmup=WarmUp(300), max_blocks=2)
+LENGTH = NutsLength(warmup=300, max_blocks=2)
 
 
 def drawn(rng: np.random.Generator, manoeuvres: int) -> tuple[dict[str, np.ndarray], Hierarchy]:

@@ -17,8 +17,7 @@ from scipy.special import log_expit
 if TYPE_CHECKING:  # a peer's process reads a pickled reference and must not carry the weight of JAX
     from bayes_aero.flight.card import Card
     from bayes_aero.model.model import Model
-    from bayes_aero.model.noise import Density
-    from bayes_aero.model.observations import Observations
+    from bayes_aero.model.observations import Density, Observations
 
 PARAMETERS = ("CL0", "CLa", "CLaM", "Cmde", "Cm0", "Cma", "Cmq", "CD0", "e", "tau2", "a1", "alpha_star", "CDX", "CmX")
 

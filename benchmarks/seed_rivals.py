@@ -36,12 +36,10 @@ from bayes_aero.diagnosis.selection_state import moved, optimum
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.covariance import log_density
-from bayes_aero.inference.gp import fit_gp
-from bayes_aero.inference.gp.kernel import Priors
-from bayes_aero.inference.gp.posterior import Budget
+from bayes_aero.inference.gp import KINDS, Budget, SplitKind, fit_gp, make_splits
+from bayes_aero.inference.gp_kernel import Priors
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import score
-from bayes_aero.inference.validation import KINDS, SplitKind, make_splits
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.aircraft import NAMES
@@ -279,7 +277,7 @@ def process(flights: Flights, problem: Problem, seed: int, sample: bool) -> Gues
     for c, name in enumerate(NAMES):
         fit = fit_gp(
             problem.inputs[problem.train], problem.measured[problem.train, c], names=(*flights.card.gp_inputs, name),
-            priors=Priors.quasi_steady(), sample=sample, budget=Budget(seed=seed), progress=lambda _: None,
+            priors=Priors.quasi_steady(), sample=sample, budget=Budget(seed=seed),
         )  # fmt: skip
         there = fit.predict(problem.inputs)
         means.append(there.mean)

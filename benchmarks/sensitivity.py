@@ -11,11 +11,9 @@ from pathlib import Path
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.inference.sampling import density_start, find_mode, sample_ensemble
-from bayes_aero.inference.validation import prior_sensitivity
+from bayes_aero.inference.sampling import density_start, find_mode, prior_sensitivity, sample_ensemble
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Density, Noise
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import Colour, Density, Noise, observe
 from bayes_aero.simulate.demo import demo_records
 
 

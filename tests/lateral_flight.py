@@ -118,7 +118,7 @@ def _balanced(known, given, aircraft):
     def out_of_balance(controls):
         a, flow, s = felt(controls)
         there = coefficients(s | dict(zip(("ax", "ay", "az"), a.T, strict=True)), aircraft)
-        return jnp.stack([flow[k] - getattr(there, k) for k in ("Cm", "Cl", "Cn")], axis=1)
+        return jnp.stack([flow[k] - there[k] for k in ("Cm", "Cl", "Cn")], axis=1)
 
     controls = jnp.zeros((SAMPLES, 3))
     for _ in range(4):

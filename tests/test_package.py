@@ -37,7 +37,7 @@ from bayes_aero.flight.text import open_text
 from bayes_aero.inference.results import Posterior, PosteriorStatus
 from bayes_aero.jobs.check import RecordChecks
 from bayes_aero.jobs.options import IdentifyOptions
-from bayes_aero.model.noise import DEFAULT, Colour
+from bayes_aero.model.observations import DEFAULT, Colour
 from bayes_aero.physics.filters import smooth
 from bayes_aero.report.pages.estimates import ordered
 from bayes_aero.simulate.demo import simulate_stall
@@ -211,9 +211,9 @@ def test_a_report_takes_results_and_computes_none(path):
 
 
 def test_the_check_sees_what_it_forbids():
-    tree = ast.parse("from bayes_aero.inference.validation import stall_of\nfrom bayes_aero.report.style import save")
-    assert taken(tree) == [("bayes_aero.inference.validation", "stall_of")]
-    assert inspect.isfunction(import_module("bayes_aero.inference.validation").stall_of)
+    tree = ast.parse("from bayes_aero.inference.mle import stall_of\nfrom bayes_aero.report.style import save")
+    assert taken(tree) == [("bayes_aero.inference.mle", "stall_of")]
+    assert inspect.isfunction(import_module("bayes_aero.inference.mle").stall_of)
 
 
 @pytest.fixture

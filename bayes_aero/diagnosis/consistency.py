@@ -47,7 +47,7 @@ from bayes_aero.flight.health import Agreement, Consistency, Departure, OpenErro
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import cluster_covariance, nats
 from bayes_aero.model.model import Model, lengths_of, own_effects
-from bayes_aero.model.records import Flights, joined, repaired
+from bayes_aero.model.records import Flights, despiked, joined
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import NO_AIRCRAFT, Axis
 from bayes_aero.physics.filters import differentiate_joined
@@ -89,7 +89,7 @@ def consistency(
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> Flights:
-    return repaired(as_the_card_states(joined(records, card, PATH_CORE), card))[0]
+    return despiked(as_the_card_states(joined(records, card, PATH_CORE), card))[0]
 
 
 def errors_of_path(known: Extension) -> KnownErrors:

@@ -34,8 +34,8 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import nats, standard_error_of_sum
 from bayes_aero.inference.frequency import MIN_SHARE, cramer_rao, fit_in_band, without_noise_bias_in_band
+from bayes_aero.inference.mle import stall_of
 from bayes_aero.inference.results import FrequencyFit, score
-from bayes_aero.inference.validation import stall_of
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.records import Flights, on_recorded_axes
 from bayes_aero.physics.aircraft import LATERAL, NAMES

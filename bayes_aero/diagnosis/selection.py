@@ -41,7 +41,7 @@ from bayes_aero.diagnosis.selection_state import (
 )
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.flight.health import noise_of
-from bayes_aero.inference.covariance import log_density, log_score_gain, log_score_gains, median_inflation, nats
+from bayes_aero.inference.covariance import log_density, log_score_gain, median_inflation, nats
 from bayes_aero.inference.results import Scores, score
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
@@ -674,7 +674,8 @@ class LeftOut:
         if not (self.by_output and before.flyable):
             return {}
         densities = before.densities(), self.densities()
-        return log_score_gains(self.names, *densities, self.variance_inflation, self.lengths)
+        pairs = zip(self.names, *(density.T for density in densities), strict=True)
+        return {n: log_score_gain(x, y, self.variance_inflation, self.lengths) for n, x, y in pairs}
 
     def scores(self, measured: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
         """Scores of each coefficient over everything left out, against what was recorded (blocks of about 5 Hz)."""

@@ -285,7 +285,7 @@ def _makes(effect: Effect, flights: Flights, instead: Mapping[str, np.ndarray]) 
 # Fits to coefficients leave out these folds: the parameters again (`LeftOut.refitted`), or to first order from inner
 # products (`Products.without`). Trajectories leave out segments, which are flown from their measured state
 # (`trajectories.holdout_fits`); Gaussian processes are validated on samples, at random as published, too
-# (`inference.validation`).
+# (`inference.gp`).
 
 
 def too_short(seconds: float, settings: DiagnosisSettings = DEFAULT) -> str:

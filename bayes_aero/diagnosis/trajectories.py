@@ -43,16 +43,16 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import channels_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference import output_error
-from bayes_aero.inference.covariance import corrected_covariance, median_inflation, variance_inflation
+from bayes_aero.inference.covariance import corrected_covariance, means, median_inflation, variance_inflation
 from bayes_aero.inference.optimise import solve
 from bayes_aero.inference.prediction_error import (
     PredictionErrorResult,
     PredictionErrorStatus,
     fit_disturbed,
+    one_step,
     sample_innovations,
 )
 from bayes_aero.inference.results import CONFLICT_LIMIT, MleResult, MleStatus, OutputErrorStatus, Posterior
-from bayes_aero.inference.validation import one_step
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior, departure
@@ -442,7 +442,7 @@ class _FirstOrder:
         # At the optimum, with the fitted initial states, and with the measured ones.
         fitted, measured = (equations.evaluate(fit.estimate, begin) for begin in (fit.departure, still))
         self.A, self.g, _ = output_error.segment_equations(fitted, fit.priors)
-        self.columns, self.inflation = np.concatenate(measured.products.columns), inflation
+        self.columns, self.inflation = measured.columns, inflation
         self.contender, self.silent = contender, silent
 
     def left_out(self, absent: Mapping[str, float]) -> LeftOut:
@@ -462,14 +462,17 @@ class _FirstOrder:
 
 # --- Variance inflation of a fit to trajectories.
 
+THINNING = 5  # samples averaged for the autocorrelation of the residuals
+
 
 def trajectory_variance_inflation(fit: output_error.OutputErrorResult) -> float:
     """Median variance inflation of the parameters, from Morelli and Klein's covariance of thinned means."""
-    k, residual, S = len(fit.estimate), fit.thinned_columns[..., 0], fit.thinned_columns[..., 1:]
+    columns = means(fit.columns, THINNING)
+    k, residual, S = len(fit.estimate), columns[..., 0], columns[..., 1:]
     if fit.priors.fixed:
         S = S[..., :k]
     w, m, c, wide = S.shape
-    inside = fit.flown.inside[:, : m * output_error.THINNING].reshape(w, m, output_error.THINNING).all(axis=2)
+    inside = fit.flown.inside[:, : m * THINNING].reshape(w, m, THINNING).all(axis=2)
     whole = np.zeros((w, m, c, k + w * (wide - k)))
     whole[..., :k] = S[..., :k]
     for row in range(w):  # every segment has its own initial state
@@ -485,7 +488,7 @@ def trajectory_variance_inflation(fit: output_error.OutputErrorResult) -> float:
     D = np.linalg.pinv(information[np.ix_(used, used)] / scale, rcond=1e-10, hermitian=True) / scale
     corrected = corrected_covariance(D, flat[:, :, used], fit.R, r, segment, start)
     parameters = int(np.sum(used[:k]))
-    return median_inflation(output_error.THINNING * variance_inflation(np.diag(corrected), np.diag(D))[:parameters])
+    return median_inflation(THINNING * variance_inflation(np.diag(corrected), np.diag(D))[:parameters])
 
 
 FIRST_INFLATION = 30.0  # variance inflation that is assumed until it is measured

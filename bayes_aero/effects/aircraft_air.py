@@ -21,7 +21,7 @@ from bayes_aero.effect import (
 )
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import Aircraft, Axis
-from bayes_aero.physics.separation import lagged
+from bayes_aero.physics.filters import lagged
 
 ETKIN_REID = "Etkin and Reid, Dynamics of Flight, 3rd ed. 1996, ch. 13; of first order, where Dryden has second"
 RELATIVE_ERROR = "definition of a relative error"

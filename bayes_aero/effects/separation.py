@@ -19,7 +19,7 @@ from bayes_aero.effect import (
 )
 from bayes_aero.parameter import Length, Prior, Role
 from bayes_aero.physics.aircraft import Aircraft
-from bayes_aero.physics.separation import kept_lift, kirchhoff_factor, lagged, moments_of_difference, separation_point
+from bayes_aero.physics.filters import kept_lift, kirchhoff_factor, lagged, moments_of_difference, separation_point
 
 ATTACHED = 10.0  # rad; so far above any angle of attack that X is 1 to the last bit
 

@@ -13,20 +13,21 @@ from scipy.optimize import nnls
 
 from bayes_aero.arrays import AnyArray
 
+Square = Float[np.ndarray, "k k"]
+Outputs = Float[np.ndarray, " c"]
+Residual = Float[np.ndarray, "n c"]
+Sensitivity = Float[np.ndarray, "n c k"]
+Numbers = Int[np.ndarray, " n"]
+Marks = Bool[np.ndarray, " n"]
+
 BLOCK = 0.2  # s; smoothed residuals vary no faster
 MIN_INNOVATIONS = 10  # for each coefficient of an autoregression; with fewer, blocks count as independent
 MIN_RESIDUAL_SHARE = 0.05  # least share 1 - h of an innovation that the fit leaves, with the leverage h of its block
 
 
 def robust_covariance(
-    D: Float[np.ndarray, "k k"],
-    S: Float[np.ndarray, "n c k"],
-    R: Float[np.ndarray, " c"],
-    residual: Float[np.ndarray, "n c"],
-    manoeuvre: Int[np.ndarray, " n"],
-    start: Bool[np.ndarray, " n"],
-    dt: float,
-) -> tuple[Float[np.ndarray, "k k"], int]:
+    D: Square, S: Sensitivity, R: Outputs, residual: Residual, manoeuvre: Numbers, start: Marks, dt: float
+) -> tuple[Square, int]:
     """Covariance D M D of the estimate, with M that of the score sum S' R^-1 r, and the number of blocks."""
     # Residuals are averaged over blocks of `BLOCK` seconds and whitened by an autoregression for each coefficient (the
     # sensitivities by its transpose, so that the score is unchanged). M is then formed twice: from the innovations'
@@ -50,30 +51,27 @@ def robust_covariance(
     phi, long = np.zeros((S.shape[1], ORDER)), [r for r, _, _ in stretches if len(r) > 2 * ORDER]
     if sum(len(r) - ORDER for r in long) >= MIN_INNOVATIONS * ORDER:
         phi = np.stack([autoregression([r[None, :, c] for r in long])[0][0] for c in range(S.shape[1])])
-    whitened = []  # innovations e = A r, and A^-T of the weighed sensitivities: their product is the score
-    for r, slope, samples in stretches:
+    shaped, shares, innovations = [], [], []
+    for (
+        r,
+        slope,
+        samples,
+    ) in stretches:  # innovations e = A r, and A^-T of the weighed sensitivities: e times these is the score
         weighed = slope * samples[:, None, None] / R[:, None]
-        innovation, shaped = np.empty_like(r), np.empty_like(weighed)
-        for c, own in enumerate(phi):
-            polynomial = np.append(1.0, -own)
-            innovation[:, c] = lfilter(polynomial, [1.0], r[:, c])
-            shaped[:, c] = np.asarray(lfilter([1.0], polynomial, weighed[::-1, c], axis=0))[::-1]
-        whitened.append((innovation, shaped))
-    blocks = sum(len(samples) for _, _, samples in stretches)
-    left = max(blocks - max(int(np.count_nonzero(np.any(S[:, c] != 0.0, axis=0))) for c in range(S.shape[1])), 1)
-    together = np.concatenate([e for e, _ in whitened])
-    spread = together.T @ together / left
-    stationary, by_block = np.zeros_like(D), np.zeros_like(D)
-    for (innovation, shaped), (_, slope, samples) in zip(whitened, stretches, strict=True):
-        stationary += np.einsum("bck,cd,bdl->kl", shaped, spread, shaped, optimize=True)
-        share = np.einsum("bck,kl,bcl->bc", slope, D, slope, optimize=True) * samples[:, None] / R
-        scores = np.einsum("bck,bc->bk", shaped, innovation / np.maximum(1.0 - share, MIN_RESIDUAL_SHARE))
-        by_block += scores.T @ scores
-    stationary, by_block = (D @ middle @ D for middle in (stationary, by_block))
+        filters = [np.append(1.0, -lags) for lags in phi]
+        innovations.append(np.stack([lfilter(f, [1.0], x) for f, x in zip(filters, r.T, strict=True)], axis=1))
+        back = [lfilter([1.0], f, weighed[::-1, c], axis=0) for c, f in enumerate(filters)]
+        shaped.append(np.stack(back, axis=1)[::-1])
+        shares.append(np.einsum("bck,kl,bcl->bc", slope, D, slope, optimize=True) * samples[:, None] / R)
+    e, W, share = (np.concatenate(x) for x in (innovations, shaped, shares))
+    left = max(len(e) - max(int(np.count_nonzero(np.any(S[:, c] != 0.0, axis=0))) for c in range(S.shape[1])), 1)
+    stationary = D @ np.einsum("bck,cd,bdl->kl", W, e.T @ e / left, W, optimize=True) @ D
+    scores = np.einsum("bck,bc->bk", W, e / np.maximum(1.0 - share, MIN_RESIDUAL_SHARE))
+    by_block = D @ (scores.T @ scores) @ D
     sd = np.sqrt(np.maximum(np.diag(stationary), np.diag(by_block)))
     narrow = np.sqrt(np.maximum(np.diag(by_block), np.finfo(float).tiny))
     widen = sd / narrow * t.ppf(0.975, left) / norm.ppf(0.975)
-    return by_block * np.outer(widen, widen), blocks
+    return by_block * np.outer(widen, widen), len(e)
 
 
 # --- Cramer-Rao bounds corrected for coloured residuals.
@@ -99,13 +97,8 @@ def autocovariance(residual: Float[np.ndarray, "n c"], lags: int) -> Float[np.nd
 
 
 def corrected_covariance(
-    D: Float[np.ndarray, "k k"],
-    S: Float[np.ndarray, "n c k"],
-    R: Float[np.ndarray, " c"],
-    residual: Float[np.ndarray, "n c"],
-    manoeuvre: Int[np.ndarray, " n"],
-    start: Bool[np.ndarray, " n"],
-) -> Float[np.ndarray, "k k"]:
+    D: Square, S: Sensitivity, R: Outputs, residual: Residual, manoeuvre: Numbers, start: Marks
+) -> Square:
     """D [sum_i S_i' R^-1 sum_j Rvv(i-j) R^-1 S_j] D with D = (sum S' R^-1 S)^-1, manoeuvre by manoeuvre."""
     # Source: corrected bound of Morelli and Klein, J. Aircraft 1997; Rvv is the residuals' autocovariance. Manoeuvres
     # are taken as independent. Where samples are left out (`start` inside a manoeuvre) only whole stretches count as
@@ -119,13 +112,13 @@ def corrected_covariance(
         lags = max(1, int(LAG_SHARE * len(longest)))
         covariance = autocovariance(residual[longest], lags)
         for stretch in stretches:  # sum_ij W_i' Rvv(i-j) W_j by convolution over time
-            own, n = W[stretch], len(stretch)
+            weighed, n = W[stretch], len(stretch)
             size = int(next_fast_len(n + 2 * lags) or n + 2 * lags)
             kernel = np.zeros((size, *covariance.shape[1:]))
             kernel[np.arange(-lags, lags + 1)] = covariance
-            spectra = np.fft.rfft(kernel, axis=0), np.fft.rfft(own, size, axis=0)
+            spectra = np.fft.rfft(kernel, axis=0), np.fft.rfft(weighed, size, axis=0)
             spread = np.fft.irfft(np.einsum("fij,fjk->fik", *spectra), size, axis=0)[:n]
-            total += np.einsum("nci,ncj->ij", own, spread)
+            total += np.einsum("nci,ncj->ij", weighed, spread)
     return D @ total @ D
 
 
@@ -142,11 +135,11 @@ def standard_error_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int
 class LinearFit:
     """A fit of k parameters and of the initial state of each of w segments, linear in the noise of the outputs."""
 
-    D: Float[np.ndarray, "k k"]  # covariance of the parameters for white noise
+    D: Square  # covariance of the parameters for white noise
     S: Float[np.ndarray, "w n c k"]  # sensitivities to them, with initial states at their optimum
     own: Float[np.ndarray, "w n c s"]  # sensitivities to initial states
     precision: Float[np.ndarray, " s"]  # of the priors of the latter, infinite where they are not fitted
-    R: Float[np.ndarray, " c"]  # variances of the residuals
+    R: Outputs  # variances of the residuals
     inside: Bool[np.ndarray, "w n"]  # the other samples are zeros
 
     @cached_property
@@ -170,11 +163,13 @@ class LinearFit:
         taken = np.einsum("wnck,...k->...wnc", self.S, theta, optimize=True)
         return noise - taken - np.einsum("wncs,...ws->...wnc", self.own, states, optimize=True)
 
-    def corrected(self, residual: Float[np.ndarray, "w n c"]) -> Float[np.ndarray, " k"]:
-        segment = np.nonzero(self.inside)[0]
-        start = np.diff(segment, prepend=-1) != 0
-        seen = (self.S[self.inside], self.R, residual[self.inside], segment, start)
-        return np.diag(corrected_covariance(self.D, *seen))
+
+def segments_corrected(
+    D: Square, S: np.ndarray, R: Outputs, residual: np.ndarray, inside: Bool[np.ndarray, "w n"]
+) -> Square:
+    """`corrected_covariance` of segments, as rows, of which only the samples `inside` count."""
+    segment = np.nonzero(inside)[0]
+    return corrected_covariance(D, S[inside], R, residual[inside], segment, np.diff(segment, prepend=-1) != 0)
 
 
 def means(x: Shaped[np.ndarray, "w n ..."], size: int) -> Float[np.ndarray, "w m ..."]:
@@ -216,7 +211,8 @@ def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float)
     expected = [squares(left(one) / fit.R).mean(axis=0) for one in np.eye(len(seen))]
     intensity = nnls(np.stack(expected, axis=1) / seen[:, None], np.ones(len(seen)), maxiter=100 * len(seen))[0]
     exact = squares(np.moveaxis(fit.weights, 3, 0)) @ intensity
-    drawn = np.array([fit.corrected(x) for x in left(intensity)])
+    seen_inside = fit.D, fit.S, fit.R
+    drawn = np.array([np.diag(segments_corrected(*seen_inside, x, fit.inside)) for x in left(intensity)])
     moving = np.all(drawn > 0.0, axis=0)
     return np.where(moving, exact * np.mean(1.0 / np.where(moving, drawn, 1.0), axis=0), 1.0)
 
@@ -237,9 +233,7 @@ def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray
 # `robust_covariance` corrects each block by its leverage (HC3) instead, `standard_error_of_sum` has no blocks.
 
 
-def cluster_covariance(
-    contributions: Float[np.ndarray, "m k"], block: Int[np.ndarray, " m"]
-) -> Float[np.ndarray, "k k"]:
+def cluster_covariance(contributions: Float[np.ndarray, "m k"], block: Int[np.ndarray, " m"]) -> Square:
     """Covariance of a sum whose expectation is zero: n/(n - 1) sum_g s_g s_g' with the sums s_g of n blocks."""
     # `contributions` of each sample: residuals weighed by sensitivities give the score's. Source: Liang and Zeger,
     # Biometrika 73 (1986) 13.
@@ -249,7 +243,7 @@ def cluster_covariance(
     return sums.T @ sums * count / (count - 1.0)
 
 
-def jackknife_covariance(moves: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k k"]:
+def jackknife_covariance(moves: Float[np.ndarray, "n k"]) -> Square:
     """Covariance of an estimate from its `moves` when each of n blocks is left out: (n - 1)/n sum_g d_g d_g'."""
     # A block that alone determines a parameter has no residual in its direction; `cluster_covariance` takes this for
     # agreement. Source: Bell and McCaffrey, Survey Methodology 28 (2002) 169, for moves from the estimate by all
@@ -365,15 +359,3 @@ def log_score_gain(
     # `inflation`.
     difference = (after - before) / inflation
     return float(difference.sum()), standard_error_of_sum(difference, lengths)
-
-
-def log_score_gains(
-    names: Sequence[str],
-    before: Float[np.ndarray, "m c"],
-    after: Float[np.ndarray, "m c"],
-    inflation: float,
-    lengths: Sequence[int],
-) -> dict[str, tuple[float, float]]:
-    """`log_score_gain` of each output by itself, by name; log densities are (m, c)."""
-    pairs = zip(names, before.T, after.T, strict=True)
-    return {name: log_score_gain(one, other, inflation, lengths) for name, one, other in pairs}

@@ -27,7 +27,7 @@ from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import BLOCK, robust_covariance
 from bayes_aero.inference.mle import noise_bias, scaled_inverse
-from bayes_aero.inference.optimise import Evaluation, Rule, Vector, minimise, truncated_step
+from bayes_aero.inference.optimise import Evaluation, Problem, Rule, Vector, minimise, truncated_step
 from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, MleResult
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
@@ -62,18 +62,18 @@ class BandStep(NamedTuple):
         return 0.5 * len(self.left) * float(np.sum(np.log(self.R)))
 
 
-class _Lines:
-    """Minus the log likelihood of the lines of a band as a `Problem`, variances and offsets at their optimum."""
+class _Lines(Problem):
+    """Minus the log likelihood of the lines of a band, variances and offsets at their optimum."""
 
     def __init__(self, responses: InBand, parameters: Sequence[Parameter], theta: Vector) -> None:
         residual, S = responses.linearise(theta)
         size = 1.0 / np.maximum(np.mean(np.square(residual), axis=0), EXACT)
         information = np.einsum("mck,mck,c->k", S, S, size)
-        self.moving = information * np.square([p.prior.normal[1] for p in parameters]) > UNSEEN
-        self.bounds = np.array([p.bounds for p in parameters], float).reshape(-1, 2)
-        self.step_limit, self.free, self.responses = np.full(len(theta), np.inf), self.moving.copy(), responses
+        shown = information * np.square([p.prior.normal[1] for p in parameters]) > UNSEEN
+        super().__init__(np.array([p.bounds for p in parameters], float).reshape(-1, 2), shown)
+        self.free, self.responses, self.moved, self.point = shown.copy(), responses, responses, theta
         offsets = responses.offsets(theta, responses.outputs)
-        self.moved, self.tried = responses, (residual, S[:, :, self.free], offsets, solve(residual, offsets).cost)
+        self.tried = residual, S[:, :, self.free], offsets, solve(residual, offsets).cost
 
     def cost(self, point: Vector) -> float:
         """At the best offsets for the step that leads there; those of the states change the sensitivities."""
@@ -118,8 +118,8 @@ def fit_in_band(
 ) -> FrequencyFit:
     """Estimate the free parameters from residuals in a band (Hz), by a model of `residuals.frequency_error`."""
     # Parameters that the band does not show, such as constants, keep their start, SI, of a fit in the time domain.
-    lines = _Lines(responses, parameters, np.asarray(start, float))
-    theta, _, converged, _ = minimise(lines, np.array(start, float), lines.evaluate, TOLERANCE, RULE)
+    lines = _Lines(responses, parameters, np.array(start, float))
+    theta, _, converged, _ = minimise(lines, lines.point, TOLERANCE, RULE)
     free, solution, responses, outputs = np.flatnonzero(lines.free), lines.solution, lines.responses, responses.outputs
     S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, outputs)], axis=2)
     m, k = len(S), len(free)
@@ -131,8 +131,7 @@ def fit_in_band(
         method=method,
         band=(float(band[0]), float(band[1])),
         lines=m // 2,
-        names=tuple(parameters[int(i)].name for i in free),
-        units=tuple(parameters[int(i)].unit for i in free),
+        parameters=tuple(parameters[int(i)] for i in free),
         estimate=theta[free],
         covariance=D[:k, :k],
         corrected=corrected[:k, :k],
@@ -181,9 +180,9 @@ def without_noise_bias_in_band(
     start = np.array([values.get(p.name, p.start) for p in parameters])
 
     def draw() -> dict[str, np.ndarray]:
-        noise = {}
+        ends, noise = np.cumsum(flights.lengths)[:-1], {}
         for name in flights.recorded:
-            parts = np.split(np.asarray(flights.channels[name], float), np.cumsum(flights.lengths)[:-1])
+            parts = np.split(np.asarray(flights.channels[name], float), ends)
             noise[name] = np.concatenate([noise_of(x) * rng.standard_normal(len(x)) for x in parts])
         return noise
 
@@ -263,7 +262,7 @@ def frequency_responses(flights: Flights, dynamics: LinearDynamics, fit: Frequen
     terms: dict[tuple[int, str], list[tuple[str, float]]] = {}  # what a parameter multiplies: no state, no constant
     for i, (_, row) in enumerate(dynamics.rows.rows):
         for term in row:
-            if term.channel != ONE and term.channel not in dynamics.states:
+            if term.channel not in (ONE, *dynamics.states):
                 terms.setdefault((i, term.parameter), []).append((term.channel, term.factor))
     whole = dict.fromkeys(tuple(sorted(one)) for one in terms.values())
     inputs = list(dict.fromkeys(((one[0][0], 1.0),) if len(one) == 1 else one for one in whole))
@@ -348,11 +347,11 @@ def _modelled(
                 shares[columns.index(name), i] = factor / size
         B, D = system.matrix[:s, s:] @ shares, system.matrix[s:, s:] @ shares
         X = jnp.linalg.solve(w[:, None, None] * jnp.eye(s) - system.matrix[:s, :s], B + 0j)
-        found = {name: X[:, i] for i, name in enumerate(dynamics.states)}
+        response = {name: X[:, i] for i, name in enumerate(dynamics.states)}
         for row, name in enumerate(system.read):
             more = jnp.einsum("s,fsi->fi", system.matrix[s + row, :s] + 0j, X) + D[row]
-            found[name] = more + found.get(name, 0.0)
+            response[name] = more + response.get(name, 0.0)
         delayed = {name: jnp.exp(-w * values[p])[:, None] for name, p in late.items()}
-        return jnp.stack([found[name] * delayed.get(name, 1.0) for name in outputs], axis=1)
+        return jnp.stack([response[name] * delayed.get(name, 1.0) for name in outputs], axis=1)
 
     return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(thetas)))

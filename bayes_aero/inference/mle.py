@@ -6,7 +6,7 @@ covariance R re-estimated in every iteration, so the cost is det R and the infor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,12 +17,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.dynamics.trim import conditions, steady_flow
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import noise_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import robust_covariance
 from bayes_aero.inference.optimise import (
     Evaluation,
+    Problem,
     Rule,
     Square,
     Vector,
@@ -35,9 +37,13 @@ from bayes_aero.inference.results import (
     CONFLICT_LIMIT,
     MIN_SHIFT,
     ActiveBound,
+    Identification,
+    Interval,
     MleResult,
     MleStatus,
+    PosteriorStatus,
     PriorConflict,
+    Stall,
     score,
 )
 from bayes_aero.model.model import Model
@@ -65,27 +71,22 @@ class Descent:
     def theta(self) -> Vector:
         return self.point.theta
 
-    @property
-    def cost(self) -> float:
-        regular = np.isfinite(self.point.cost) and np.all(np.isfinite(self.point.information))
-        return self.point.cost if regular else np.inf
-
     def outcome(self, data: Data) -> str:
         """Degenerate where the separation point does not vary in the fit, or its break angle is at a bound."""
         breaks = [p.role is Role.BREAK_ANGLE for p in data.model.free]
-        degenerate = not np.isfinite(self.cost)
+        degenerate = not np.isfinite(self.point.cost)
         if any(breaks) and not degenerate:
             X = np.asarray(evaluate(data, jnp.asarray(self.theta))[2])
             degenerate = bool(np.any(self.active & breaks) or np.ptp(X) < MIN_X_RANGE)
         return "degenerate" if degenerate else "converged" if self.converged else "not converged"
 
 
-class _Coefficients:
-    """The cost of a model's coefficients as a `Problem`, from the end of full steps; the last point is kept."""
+class _Coefficients(Problem):
+    """The cost of a model's coefficients, from the end of full steps; the last point is kept."""
 
     def __init__(self, data: Data, start: Vector) -> None:
-        self.data, self.bounds = data, np.array([p.bounds for p in data.model.free], float).reshape(-1, 2)
-        self.moving, self.step_limit = np.ones(len(start), bool), np.full(len(start), np.inf)
+        super().__init__(np.array([p.bounds for p in data.model.free], float).reshape(-1, 2))
+        self.data = data
         self.point = self.tried = self._steps(np.clip(start, *self.bounds.T), MAX_ITERATIONS)
 
     def _steps(self, theta: Vector, most: int) -> GaussNewtonPoint:
@@ -95,8 +96,8 @@ class _Coefficients:
         self.tried = self.point if point is self.point.theta else self._steps(point, 0)
         return self.tried.cost
 
-    def evaluate(self, point: Vector) -> Evaluation:
-        self.point = self.point if point is self.point.theta else self.tried
+    def evaluate(self, point: Vector) -> Evaluation:  # noqa: ARG002 - it is the one tried last
+        self.point = self.tried
         return Evaluation(self.point.cost, -self.point.gradient, self.point.information)
 
 
@@ -109,17 +110,14 @@ def descend(model: Model, observations: Observations, start: Vector) -> Descent:
     # Full steps run compiled as long as they lower the cost and stay inside the bounds; the remaining steps run here.
     problem = _Coefficients(data_of(model, observations), start)
     first = problem.point
-    theta, at, converged, steps = minimise(problem, first.theta, problem.evaluate, TOLERANCE, RULE, steps=first.steps)
-    return Descent(problem.point._replace(steps=steps), converged, at_bounds(problem, theta, at.gradient))
+    theta, at, converged, steps = minimise(problem, first.theta, TOLERANCE, RULE, steps=first.steps)
+    regular = np.all(np.isfinite(problem.point.information))
+    end = problem.point._replace(steps=steps, cost=problem.point.cost if regular else np.inf)
+    return Descent(end, converged, at_bounds(problem, theta, at.gradient))
 
 
 def fit_mle(
-    model: Model,
-    observations: Observations,
-    *,
-    extra_starts: int = 6,
-    start: Vector | None = None,
-    seed: int = 0,
+    model: Model, observations: Observations, *, extra_starts: int = 6, start: Vector | None = None, seed: int = 0
 ) -> MleResult:
     """Maximum-likelihood estimate of the model's free parameters."""
     # Starts from `start` (default: the card's) and from `extra_starts` draws of the priors, inside the bounds. The
@@ -127,13 +125,12 @@ def fit_mle(
     rng, data = np.random.default_rng(seed), data_of(model, observations)
     starts = [np.array([p.start for p in model.free]) if start is None else np.asarray(start, float)]
     for _ in range(extra_starts):
-        draw = [float(p.prior.sample(rng, 1)[0]) for p in model.free]
-        starts.append(np.array([np.clip(x, *p.bounds) for x, p in zip(draw, model.free, strict=True)]))
+        starts.append(np.array([np.clip(float(p.prior.sample(rng, 1)[0]), *p.bounds) for p in model.free]))
     runs = [(run, run.outcome(data)) for run in (descend(model, observations, s) for s in starts)]
     regular = [run for run, outcome in runs if outcome != "degenerate"]
     usable = [run for run, outcome in runs if outcome == "converged"] or regular or [run for run, _ in runs]
-    table = tuple((run.cost, outcome) for run, outcome in runs)
-    return _result(data, observations, min(usable, key=lambda run: run.cost), bool(regular), table)
+    table = tuple((run.point.cost, outcome) for run, outcome in runs)
+    return _result(data, observations, min(usable, key=lambda run: run.point.cost), bool(regular), table)
 
 
 def scaled_inverse(A: Square) -> tuple[Square, Vector]:
@@ -227,10 +224,8 @@ def without_noise_bias(
     sizes = [{name: noise_of(x) for name, x in record.channels.items()} for record in records]
 
     def draw() -> list[dict[str, np.ndarray]]:
-        return [
-            {name: sd * rng.standard_normal(record.n) for name, sd in of_record.items() if sd > 0.0}
-            for record, of_record in zip(records, sizes, strict=True)
-        ]
+        pairs = zip(records, sizes, strict=True)
+        return [{n: sd * rng.standard_normal(r.n) for n, sd in noise.items() if sd > 0.0} for r, noise in pairs]
 
     def refit(noise: list[dict[str, np.ndarray]], sign: float) -> np.ndarray | None:
         noisier = [
@@ -286,8 +281,8 @@ def _sensitivities(data: Data, theta: Float[Array, " k"]):
     values = data.model.values(theta)
 
     def predict(name: str, x: Float[Array, ""]) -> tuple[list[Array], Array]:
-        known = data.model.flow(values | {name: x}, data.signals, data.aircraft)
-        return [known[coefficient] for coefficient in data.model.coefficients], known["X"]
+        flow = data.model.flow(values | {name: x}, data.signals, data.aircraft)
+        return [flow[coefficient] for coefficient in data.model.coefficients], flow["X"]
 
     columns = [jax.jvp(partial(predict, name), (values[name],), (jnp.ones(()),)) for name in data.model.names]
     predicted, X = columns[0][0]
@@ -309,8 +304,8 @@ def full_steps(
     # Their last steps shrink by a constant factor, which Anderson acceleration estimates (Walker and Ni 2011, SIAM J.
     # Numer. Anal. 49, 1715).
     arguments = map(jnp.asarray, (start, lower, upper, tolerance, max_steps))  # none static: one compilation
-    theta, cost, R, information, gradient, steps = map(np.asarray, _full_steps(data, *arguments))
-    return GaussNewtonPoint(theta, float(cost), R, information, gradient, int(steps))
+    theta, cost, *rest, steps = map(np.asarray, _full_steps(data, *arguments))
+    return GaussNewtonPoint(theta, float(cost), *rest, int(steps))  # pyright: ignore[reportCallIssue]
 
 
 @eqx.filter_jit
@@ -394,18 +389,108 @@ def active_bounds(
     gradient: Vector,
     inverse: Square,
     deviation: Vector,
-    active: Sequence[bool] | np.ndarray,
+    active: np.ndarray,
 ) -> tuple[ActiveBound, ...]:
     """Effect of each active bound on the estimates."""
     # `gradient` of the log-likelihood: zero except for the active parameters. `inverse` of the information, active
     # parameters included. `deviation`: corrected standard errors.
-    found = []
+    bounds = []
     for i in map(int, np.flatnonzero(active)):
         step = inverse[:, i] * gradient[i]
-        if not np.isfinite(step).all():
-            step = np.zeros_like(step)
+        step = step if np.isfinite(step).all() else np.zeros_like(step)
         moves = {p.name: float(step[j] / deviation[j]) for j, p in enumerate(parameters) if j != i and deviation[j] > 0}
         shifts = sorted(((n, x) for n, x in moves.items() if abs(x) > MIN_SHIFT), key=lambda item: -abs(item[1]))
         p, lower, free = parameters[i], bool(gradient[i] < 0.0), float(estimate[i] + step[i])
-        found.append(ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
-    return tuple(found)
+        bounds.append(ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
+    return tuple(bounds)
+
+
+# --- How far the published way of forming coefficients moves their parameters.
+# As published, pitch acceleration and the other measured signals are smoothed, and the controls that the model answers
+# to are not: what moves fast is then smaller in the measured coefficient than in the modelled one. With every signal
+# filtered alike both sides are treated alike.
+
+BEYOND = 2.0  # corrected deviations, from which a move is worth a word
+
+
+def filter_mismatch_notes(records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult) -> tuple[str, ...]:
+    """A sentence where estimates from published coefficients move once all signals are filtered alike."""
+    sound = (MleStatus.CONVERGED, MleStatus.AT_BOUND)
+    if mle.status not in sound:
+        return ()
+    alike = fit_mle(model, observe(records, card, model, Forming.MATCHED), start=mle.estimate, extra_starts=0)
+    away = np.abs(alike.estimate - mle.estimate) / np.where(mle.crb_corrected > 0.0, mle.crb_corrected, np.inf)
+    far = [i for i in np.argsort(-away) if away[i] > BEYOND]
+    if alike.status not in sound or not far:
+        return ()
+    moves = "; ".join(
+        f"{mle.names[i]} would be {alike.estimate[i]:.4g} {mle.units[i] if mle.units[i] != '1' else ''}".rstrip()
+        + f" instead of {mle.estimate[i]:.4g} ({away[i]:.1f} corrected standard errors)"
+        for i in far
+    )
+    return (
+        "Coefficients are formed as published: measured accelerations are smoothed, control inputs of the model are "
+        f"not, and alpha-dot is the derivative of the vane angle. With the same filter on all signals, {moves}. No "
+        "interval here includes this difference; without --coefficients published both sides are filtered alike.",
+    )
+
+
+# --- The stall in two numbers with intervals: the highest steady lift coefficient, and the angle of it.
+# Quasi-steady: CL(alpha) at alpha-dot = 0 and zero rates, all other signals at their median near the stall. The maximum
+# is sought over the recorded angles; where it is at their edge, the record does not contain the stall.
+
+POINTS = 241  # angles: less than 0.1 deg apart over 20 deg, and the maximum is found between them
+CURVE_DRAWS = 400
+QUANTILES = (0.025, 0.5, 0.975)
+RATE_SHARES = (0.05, 0.95)  # quantiles of the recorded alpha-dot at which separation is shown beside the steady one
+
+
+def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str, Any], aircraft: Aircraft) -> Stall:
+    """The stall over draws of the free parameters (columns as `model.names`), within the angles that `signals` hold."""
+    thin = draws[np.unique(np.linspace(0, len(draws) - 1, min(CURVE_DRAWS, len(draws))).astype(int))]
+    flown = np.asarray(signals["alpha"])
+    alpha = np.linspace(float(flown.min()), float(flown.max()), POINTS)
+    low, high = np.quantile(np.asarray(signals["alpha_dot"]), RATE_SHARES)
+    rates = np.array([min(low, 0.0), 0.0, max(high, 0.0)])
+    reference = conditions(signals)
+    given = jax.tree.map(jnp.asarray, (thin, alpha, rates, dict(reference)))
+    flows = _flows(model, *given, aircraft)  # pyright: ignore[reportCallIssue]
+    X, CL, CD = (np.asarray(flows[name]) for name in ("X", "CL", "CD"))  # (m, rates, angles)
+    peak, place, edge = maxima(alpha, CL[:, 1])
+    return Stall(
+        alpha=alpha,
+        CL=np.quantile(CL[:, 1], QUANTILES, axis=0),
+        CD=np.quantile(CD[:, 1], QUANTILES, axis=0),
+        rates=rates,
+        X=np.moveaxis(np.quantile(X, QUANTILES, axis=0), 0, 1),
+        CL_max=Interval.of(peak),
+        alpha_max=Interval.of(place),
+        at_edge=float(np.mean(edge)),
+        reference=reference,
+    )
+
+
+def stall_of_run(run: Identification) -> Stall | None:
+    """CLmax and its angle from the first posterior that converged; without one there is none."""
+    for key, posterior in run.posteriors.items():
+        if key != "white" and posterior.status is PosteriorStatus.CONVERGED:
+            o = run.observations
+            return stall_of(run.model, posterior.draws(run.model.names), o.signals, o.aircraft)
+    return None
+
+
+def maxima(x: Float[np.ndarray, " g"], y: Float[np.ndarray, "m g"]):
+    """Maximum of every row, its position (by a parabola through three even points), and whether it is at an edge."""
+    rows, i = np.arange(len(y)), np.argmax(y, axis=1)
+    edge, j = (i == 0) | (i == len(x) - 1), np.clip(i, 1, len(x) - 2)
+    before, here, after = y[rows, j - 1], y[rows, j], y[rows, j + 1]
+    bend = before - 2.0 * here + after
+    shift = np.divide(0.5 * (before - after), bend, out=np.zeros(len(y)), where=~edge & (bend < 0.0))
+    peak = np.where(edge, y[rows, i], here - 0.25 * (before - after) * shift)
+    return peak, np.where(edge, x[i], x[j] + shift * (x[1] - x[0])), edge
+
+
+@eqx.filter_jit
+def _flows(model, thetas: Float[Array, "m k"], alpha: Float[Array, " g"], rates: Float[Array, " r"], held, aircraft):
+    flows = jax.vmap(lambda theta, rate: steady_flow(model, theta, alpha, rate, held, aircraft), in_axes=(None, 0))
+    return jax.lax.map(lambda theta: flows(theta, rates), thetas)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -34,21 +34,18 @@ class Evaluation(NamedTuple):
     gain: float = 0.0
 
 
-@runtime_checkable
-class Problem(Protocol):
-    """A cost to be minimised over k variables."""
+class Problem:
+    """A cost to be minimised over k variables; its `cost` is asked at a point before its `evaluate`.
 
-    # `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
-    @property
-    def moving(self) -> Bool[np.ndarray, " k"]: ...
+    `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
+    """
 
-    @property
-    def bounds(self) -> Limits: ...
+    cost: Callable[[Vector], float]
+    evaluate: Callable[[Vector], Evaluation]
 
-    @property
-    def step_limit(self) -> Vector: ...
-
-    def cost(self, point: Vector) -> float: ...
+    def __init__(self, bounds: Limits, moving: Bool[np.ndarray, " k"] | None = None) -> None:
+        self.bounds, self.step_limit = bounds, np.full(len(bounds), np.inf)
+        self.moving = np.ones(len(bounds), bool) if moving is None else moving
 
 
 class Rule(NamedTuple):
@@ -72,17 +69,18 @@ class Rule(NamedTuple):
 def minimise(
     problem: Problem,
     point: Vector,
-    evaluate: Callable[[np.ndarray], Evaluation],
     tolerance: float,
     rule: Rule | None = None,
     *,
+    evaluate: Callable[[np.ndarray], Evaluation] | None = None,
     steps: int = 0,
     stopped: Callable[[], bool] | None = None,
 ) -> tuple[Vector, Evaluation, bool, int]:
     """The last point, its evaluation, whether a step is expected to gain less than `tolerance`, and count of steps."""
-    # `evaluate` is called at accepted points, after their cost; `rule` is by default `SCORING`.
+    # `evaluate` (of the problem) is called at accepted points, after their cost; `rule` is by default `SCORING`.
     rule = rule or SCORING
-    current, cost, damping = evaluate(point), problem.cost(point), rule.first
+    evaluate, cost, damping = evaluate or problem.evaluate, problem.cost(point), rule.first
+    current = evaluate(point)
     moving, converged, curvature = problem.moving, False, current.information
     while steps < rule.max_steps and math.isfinite(current.cost) and np.all(np.isfinite(curvature)):
         if stopped and stopped():

@@ -24,11 +24,14 @@ from scipy.optimize import minimize_scalar
 from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics, biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
-from bayes_aero.inference.covariance import BLOCK, LinearFit, calibration, corrected_covariance, covariance_of, means
+from bayes_aero.inference.covariance import BLOCK, LinearFit, calibration, covariance_of, means, segments_corrected
 from bayes_aero.inference.optimise import (
     MAX_TRIALS,
     Evaluation,
+    Problem,
     Rule,
+    Square,
+    Vector,
     at_bounds,
     minimise,
     newton_gain,
@@ -38,6 +41,8 @@ from bayes_aero.inference.results import Inseparable, OutputErrorStatus, insepar
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.processes import cores
 
+OfStates = Float[np.ndarray, "w s"]
+
 # --- Normal equations of a step: inner products of residuals and sensitivities, with the priors.
 # Each segment has its own initial state, which is eliminated from the equations of that segment.
 
@@ -45,22 +50,16 @@ INITIAL_STATE_SD = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "a
     POINTS, 0.1
 )
 """Standard deviation of the measured initial state, SI: the accuracy of flight-test sensors; our choice."""
-INITIAL_STATE_SD_BY_UNIT = {"m/s": 1.0, "m": 3.0}  # of states with another name, by unit
-DEFAULT_INITIAL_STATE_SD = 0.05
-TINY = 1e-300
-MAX_GRAM = 1e100  # inner products beyond this: the motion is not unique
+SD_BY_UNIT = {"m/s": 1.0, "m": 3.0}  # of states with another name, by unit: else 0.05
+TINY, MAX_GRAM = 1e-300, 1e100  # least variance; inner products beyond which the motion is not unique
 REGULARISATION = 1e-12  # added to a diagonal, relative: above rounding, below the information of any record
 ENVELOPE_PENALTY = 1e6  # cost of a trajectory that is wholly outside the envelope: worse than any inside
 
 
 def initial_state_sd(dynamics: Dynamics) -> Float[np.ndarray, " s"]:
     """Standard deviations of the measured initial state, SI."""
-    by_unit = {
-        name: INITIAL_STATE_SD_BY_UNIT.get(unit, DEFAULT_INITIAL_STATE_SD) for name, unit in dynamics.units.items()
-    }
-    return np.array(
-        [INITIAL_STATE_SD.get(name, by_unit.get(name, DEFAULT_INITIAL_STATE_SD)) for name in dynamics.start]
-    )
+    units = dynamics.units
+    return np.array([INITIAL_STATE_SD.get(n, SD_BY_UNIT.get(units.get(n, ""), 0.05)) for n in dynamics.start])
 
 
 @dataclass(frozen=True)
@@ -81,15 +80,6 @@ class NormalPriors:
         with_prior = np.array([p.name not in without for p in flown.dynamics.free], float)
         precisions = weight * with_prior * pairs[:, 1] ** -2.0, weight * deviations**-2.0
         return cls(pairs[:, 0], *precisions, weight, flown.fixed is not None)
-
-
-class InnerProducts(NamedTuple):
-    """Inner products of residuals and sensitivities of w segments, c outputs, k parameters and s initial states."""
-
-    gram: Float[np.ndarray, "w c j j"]  # j = 1 + k + s: the residual comes first
-    count: Float[np.ndarray, " w"]  # samples
-    inside: float  # share of the samples inside the envelope
-    columns: tuple[np.ndarray, ...]  # residuals and sensitivities (w, n, c, j) over the noise growth, in parts along w
 
 
 @eqx.filter_jit
@@ -127,81 +117,69 @@ class NormalEquations:
         }
         self._compiled = False
 
-    def evaluate(self, theta: Float[np.ndarray, " k"], departure: Float[np.ndarray, "w s"]) -> Point:
-        at, w = jnp.asarray(theta), len(departure)
+    def evaluate(self, theta: Vector, departure: OfStates) -> Point:
+        def products(number: int) -> tuple[np.ndarray, ...]:
+            if number not in self._parts:
+                return ()
+            begin = jnp.asarray(departure[self._rows[number]])
+            return tuple(np.asarray(x) for x in _inner_products(self._parts[number], jnp.asarray(theta), begin))
 
-        def one(number):
-            found = _inner_products(self._parts[number], at, jnp.asarray(departure[self._rows[number]]))
-            return tuple(np.asarray(x) for x in found)
-
+        every = range(len(self._rows))
         if len(self._parts) > 1 and self._compiled:
             with ThreadPoolExecutor(min(len(self._parts), cores())) as pool:
-                found = dict(zip(self._parts, pool.map(one, self._parts), strict=True))
+                evaluated = list(pool.map(products, every))
         else:
-            found = {number: one(number) for number in self._parts}
+            evaluated = list(map(products, every))
         self._compiled = True
-        zeros = tuple(np.zeros_like(x) for x in next(iter(found.values())))
-        gram, within, columns = zip(*(found.get(i, zeros) for i in range(len(self._rows))), strict=True)
-        gram, within = np.concatenate(gram)[:w], np.concatenate(within)[:w]
-        products = InnerProducts(gram, self.count, float(within.sum() / self.count.sum()), columns)
-        return _point(theta, departure, products, self.prior, self.noise_growth)
+        zeros = tuple(np.zeros_like(x) for x in next(filter(None, evaluated)))
+        every_part = zip(*(part or zeros for part in evaluated), strict=True)
+        gram, within, columns = (np.concatenate(x)[: len(departure)] for x in every_part)
+        return self._point(theta, departure, gram, columns, float(within.sum() / self.count.sum()))
 
-    def extrapolate(self, point: Point, step: Float[np.ndarray, " k"], own: Float[np.ndarray, "w s"]) -> Point:
+    def extrapolate(self, point: Point, step: Vector, of_states: OfStates) -> Point:
         """Normal equations after a short step of parameters and initial states, with residuals linear in the step."""
-        w = len(own)
-        all_steps = np.concatenate([np.tile(step, (w, 1)), own], axis=1)
-        transform = np.tile(np.eye(1 + all_steps.shape[1]), (w, 1, 1))
+        all_steps = np.concatenate([np.tile(step, (len(of_states), 1)), of_states], axis=1)
+        transform = np.tile(np.eye(1 + all_steps.shape[1]), (len(of_states), 1, 1))
         transform[:, 1:, 0] = -all_steps
-        gram = np.einsum("wia,wcij,wjb->wcab", transform, point.products.gram, transform, optimize=True)
-        columns = []
-        for rows, part in zip(self._rows, point.products.columns, strict=True):
-            shifted = part.copy()
-            shifted[..., 0] -= np.einsum("wncj,wj->wnc", part[..., 1:], all_steps[rows])
-            columns.append(shifted)
-        products = point.products._replace(gram=gram, columns=tuple(columns))
-        return _point(point.theta + step, point.departure + own, products, self.prior, self.noise_growth)
+        gram = np.einsum("wia,wcij,wjb->wcab", transform, point.gram, transform, optimize=True)
+        columns = point.columns.copy()
+        columns[..., 0] -= np.einsum("wncj,wj->wnc", point.columns[..., 1:], all_steps)
+        return self._point(point.theta + step, point.departure + of_states, gram, columns, point.inside)
+
+    def _point(self, theta: Vector, departure: OfStates, gram: np.ndarray, columns: np.ndarray, inside: float) -> Point:
+        prior, total = self.prior, self.count.sum()
+        if not np.all(np.abs(gram) < MAX_GRAM):
+            return Point(theta, departure, gram, columns, 0.0, np.ones(gram.shape[1]), math.inf)
+        R = np.maximum(gram[:, :, 0, 0].sum(axis=0) / total, TINY)
+        cost = 0.5 * total * float(np.sum(np.log(R))) + self.noise_growth
+        cost += 0.5 * float(prior.precision @ (theta - prior.mean) ** 2 + np.sum(departure**2 @ prior.states))
+        return Point(theta, departure, gram, columns, inside, R, cost + ENVELOPE_PENALTY * (1.0 - inside))
 
 
 class Point(NamedTuple):
-    """Normal equations at one point: parameters, corrections of the initial states, residual variances R, cost."""
+    """Normal equations at one point, of w segments, c outputs, k parameters, s initial states; j = 1 + k + s."""
 
-    theta: Float[np.ndarray, " k"]
-    departure: Float[np.ndarray, "w s"]
-    products: InnerProducts
+    theta: Vector
+    departure: OfStates  # corrections of the initial states
+    gram: Float[np.ndarray, "w c j j"]  # inner products of residuals and sensitivities: the residual comes first
+    columns: Float[np.ndarray, "w n c j"]  # these, over the noise growth
+    inside: float  # share of the samples inside the envelope
     R: Float[np.ndarray, " c"]
     cost: float
 
 
-def _point(
-    theta: np.ndarray, departure: np.ndarray, products: InnerProducts, prior: NormalPriors, noise_growth: float
-) -> Point:
-    """`noise_growth`: sum of its logarithms over all samples and outputs, a term of the likelihood."""
-    gram, total = products.gram, products.count.sum()
-    if not np.all(np.abs(gram) < MAX_GRAM):
-        return Point(theta, departure, products._replace(inside=0.0), np.ones(gram.shape[1]), math.inf)
-    R = np.maximum(gram[:, :, 0, 0].sum(axis=0) / total, TINY)
-    cost = 0.5 * total * float(np.sum(np.log(R))) + noise_growth
-    cost += 0.5 * float(prior.precision @ (theta - prior.mean) ** 2) + 0.5 * float(np.sum(departure**2 @ prior.states))
-    if products.inside < 1.0:
-        cost += ENVELOPE_PENALTY * (1.0 - products.inside)
-    return Point(theta, departure, products, R, cost)
-
-
 class EliminatedStates(NamedTuple):
-    """Eliminated initial states of the segments, as functions of the step of theta."""
+    """Optimal corrections of the initial states after a step of theta: `first` less `by_theta` times the step."""
 
-    inverse: Float[np.ndarray, "w s s"]
-    cross: Float[np.ndarray, "w s k"]
-    gradient: Float[np.ndarray, "w s"]
+    first: OfStates
+    by_theta: Float[np.ndarray, "w s k"]
     gain: float
 
-    def step(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "w s"]:
-        return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
+    def step(self, theta: Vector) -> OfStates:
+        return self.first - self.by_theta @ theta
 
 
-def reduced_equations(
-    point: Point, prior: NormalPriors
-) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"], EliminatedStates]:
+def reduced_equations(point: Point, prior: NormalPriors) -> tuple[Square, Vector, EliminatedStates]:
     """Information and gradient of theta with the initial states eliminated, including the priors."""
     A, g, states = segment_equations(point, prior)
     A = A.sum(axis=0) + np.diag(prior.precision)
@@ -213,10 +191,9 @@ def segment_equations(
 ) -> tuple[Float[np.ndarray, "w k k"], Float[np.ndarray, "w k"], EliminatedStates]:
     """Information and gradient of theta by segment with the initial states eliminated, without the priors of theta."""
     k = len(point.theta)
-    N = np.einsum("wcij,c->wij", point.products.gram, 1.0 / point.R)
+    N = np.einsum("wcij,c->wij", point.gram, 1.0 / point.R)
     if prior.fixed:
-        w, s = point.departure.shape
-        states = EliminatedStates(np.zeros((w, s, s)), np.zeros((w, s, k)), np.zeros((w, s)), 0.0)
+        states = EliminatedStates(np.zeros_like(point.departure), np.zeros((*point.departure.shape, k)), 0.0)
         return N[:, 1 : k + 1, 1 : k + 1], N[:, 1 : k + 1, 0], states
     of_states = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
     cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
@@ -230,15 +207,14 @@ def segment_equations(
     Y, y = np.linalg.solve(L, cross), np.linalg.solve(L, gradient[:, :, None])[:, :, 0]
     A = N[:, 1 : k + 1, 1 : k + 1] - np.einsum("wia,wib->wab", Y, Y)
     g = N[:, 1 : k + 1, 0] - np.einsum("wia,wi->wa", Y, y)
-    gain = 0.5 * float(np.sum(y**2))
     inverse = np.linalg.inv(L)
     inverse = np.swapaxes(inverse, 1, 2) @ inverse
-    return A, g, EliminatedStates(inverse, cross, gradient, gain)
+    first = np.einsum("wij,wj->wi", inverse, gradient)
+    return A, g, EliminatedStates(first, inverse @ cross, 0.5 * float(np.sum(y**2)))
 
 
 # --- The result of an output-error fit: estimates, standard errors for white and coloured residuals, a status.
 
-THINNING = 5  # samples averaged for the autocorrelation of the residuals
 INDEFINITE = -1e-14  # eigenvalues of a scaled information matrix below this are not rounding errors
 SINGULAR = 1e-13  # least eigenvalue of a regular scaled information matrix
 MIN_COMPONENT = 1e-3  # least component of a singular direction from which a parameter is undetermined
@@ -256,12 +232,12 @@ class OutputErrorResult:
 
     flown: SegmentTrajectories
     parameters: tuple[Parameter, ...]
-    estimate: Float[np.ndarray, " k"]
-    departure: Float[np.ndarray, "w s"]
+    estimate: Vector
+    departure: OfStates
     R: Float[np.ndarray, " c"]
     cost: float
-    covariance: Float[np.ndarray, "k k"]
-    information: Float[np.ndarray, "k k"]
+    covariance: Square
+    information: Square
     priors: NormalPriors
     rms: Float[np.ndarray, "w c"]
     status: OutputErrorStatus
@@ -283,24 +259,26 @@ class OutputErrorResult:
         return tuple(p.name for p in self.parameters)
 
     @property
-    def sd(self) -> Float[np.ndarray, " k"]:
+    def sd(self) -> Vector:
         """Standard errors with priors, for white residuals, (k,); infinite where undetermined."""
-        return self._finite_if_determined(np.sqrt(np.diag(self.covariance)))
-
-    def _finite_if_determined(self, sd: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-        """Standard errors with infinity for undetermined parameters."""
-        return np.where([name in self.undetermined for name in self.names], np.inf, sd)
+        return self._deviations(self.covariance)
 
     @property
-    def crb(self) -> Float[np.ndarray, " k"]:
+    def sd_corrected(self) -> Vector:
+        """Standard errors with priors, corrected for autocorrelated residuals, (k,); infinite where undetermined."""
+        return self._deviations(self.corrected)
+
+    def _deviations(self, covariance: Square) -> Vector:
+        return np.where([name in self.undetermined for name in self.names], np.inf, np.sqrt(np.diag(covariance)))
+
+    @property
+    def crb(self) -> Vector:
         """Cramer-Rao standard errors of the data alone, for white residuals, (k,); infinite where undetermined."""
-        scale = np.sqrt(np.diag(self.information))
-        informed = scale > 0.0
-        bounds = np.full(len(scale), np.inf)
-        part = self.information[np.ix_(informed, informed)] / np.outer(scale[informed], scale[informed])
-        values, vectors = np.linalg.eigh(part)
+        informed = np.flatnonzero(np.diag(self.information) > 0.0)
+        bounds = np.full(len(self.estimate), np.inf)
+        values, vectors, scale = scaled_eigen(self.information, informed)
         if len(values) and values[0] > SINGULAR:
-            bounds[informed] = np.sqrt(np.diag((vectors / values) @ vectors.T)) / scale[informed]
+            bounds[informed] = np.sqrt(np.diag((vectors / values) @ vectors.T)) / scale
         return bounds
 
     @cached_property
@@ -316,23 +294,16 @@ class OutputErrorResult:
         k, inside = len(self.estimate), self.flown.inside
         S, own, residual = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :], self.columns[..., 0]
         S = S - np.einsum("wncs,wsk->wnck", own, self.eliminated)  # at optimal initial states
-        segment = np.nonzero(inside)[0]
-        start = np.diff(segment, prepend=-1) != 0
         D, weight = self.covariance, self.priors.weight
-        said = np.diag(self.priors.precision)
-        said = said + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
-        spread = corrected_covariance(D, S[inside], self.R, residual[inside], segment, start)
+        of_priors = np.diag(self.priors.precision)
+        of_priors = of_priors + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
+        spread = segments_corrected(D, S, self.R, residual, inside)
         dt = float(np.median(self.flown.dt))
         size = min(max(1, round(BLOCK / dt)), inside.shape[1])
         precision = np.where(self.priors.fixed, np.inf, self.priors.states)
         fit = LinearFit(D, means(S, size), means(own, size), precision, self.R / size, means(inside, size) > 0.0)
         wider = np.sqrt(calibration(fit, means(residual, size), size * dt))
-        return weight * D @ said @ D + spread * np.outer(wider, wider)
-
-    @property
-    def sd_corrected(self) -> Float[np.ndarray, " k"]:
-        """Standard errors with priors, corrected for autocorrelated residuals, (k,); infinite where undetermined."""
-        return self._finite_if_determined(np.sqrt(np.diag(self.corrected)))
+        return weight * D @ of_priors @ D + spread * np.outer(wider, wider)
 
     @property
     def inseparable(self) -> tuple[Inseparable, ...]:
@@ -341,18 +312,19 @@ class OutputErrorResult:
         return inseparable(self.names, units, self.estimate, self.covariance, self.sd_corrected)
 
     @property
-    def thinned_columns(self) -> Float[np.ndarray, "w m c j"]:
-        """Means of residuals and sensitivities over `THINNING` samples."""
-        w, n, c, j = self.columns.shape
-        whole = n // THINNING * THINNING
-        return self.columns[:, :whole].reshape(w, -1, THINNING, c, j).mean(axis=2)
-
-    @property
     def held_by_prior(self) -> tuple[str, ...]:
         """Parameters on which the record has little information, so that the prior decides."""
         with np.errstate(divide="ignore"):
             prior = self.priors.precision**-0.5
-        return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > PRIOR_RATIO * own)
+        return tuple(n for n, sd, wide in zip(self.names, self.sd, prior, strict=True) if sd > PRIOR_RATIO * wide)
+
+
+def scaled_eigen(A: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eigenvalues and vectors of the block `kept` (indices) of A scaled to unit diagonal, and the scale."""
+    block = A[np.ix_(kept, kept)]
+    scale = np.sqrt(np.diag(block))
+    values, vectors = np.linalg.eigh(block / np.outer(scale, scale))
+    return values, vectors, scale
 
 
 def result_at(
@@ -366,31 +338,27 @@ def result_at(
     held: np.ndarray,
 ) -> OutputErrorResult:
     """The result at a point; `held` parameters have no standard error, `active` ones are at a bound."""
-    w, s = point.departure.shape
-    A, eliminated = np.diag(prior.precision), np.zeros((w, s, len(point.theta)))
+    free, A = flown.dynamics.free, np.diag(prior.precision)
+    eliminated = np.zeros((*point.departure.shape, len(point.theta)))
     if math.isfinite(point.cost):
-        found, _, states = reduced_equations(point, prior)
-        informed = (np.diag(found) > 0.0) | (prior.precision > 0.0)  # a parameter without prior may have no information
-        part = found[np.ix_(informed, informed)]
-        size = np.diag(part)  # rounding may make the matrix of an unstable flight indefinite
-        if np.all(size > 0.0) and np.linalg.eigvalsh(part / np.sqrt(np.outer(size, size)))[0] > INDEFINITE:
-            A, eliminated = found, states.inverse @ states.cross
-    free = flown.dynamics.free
+        information, _, states = reduced_equations(point, prior)
+        size = np.diag(information)  # a parameter without prior may have no information
+        informed = np.flatnonzero((size > 0.0) | (prior.precision > 0.0))
+        # Rounding may make the matrix of an unstable flight indefinite.
+        if np.all(size[informed] > 0.0) and scaled_eigen(information, informed)[0][0] > INDEFINITE:
+            A, eliminated = information, states.by_theta
     at_bound = tuple(p.name for p, a in zip(free, active & ~held, strict=True) if a)
-    if point.products.inside < 1.0:
-        status = OutputErrorStatus.LEFT_ENVELOPE
-    elif not converged:
-        status = OutputErrorStatus.NOT_CONVERGED
-    else:
-        status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
-    columns = np.concatenate(point.products.columns)[:w]
-    residual = columns[..., 0] * flown.noise_growth
+    status = (
+        OutputErrorStatus.LEFT_ENVELOPE if point.inside < 1.0
+        else OutputErrorStatus.NOT_CONVERGED if not converged
+        else OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
+    )  # fmt: skip
     bare, size = ~held & (prior.precision == 0.0), np.diag(A)
     lost, informed = bare & (size <= 0.0), np.flatnonzero(bare & (size > 0.0))
     if len(informed):  # those in singular directions of an information matrix without priors
-        scale = np.sqrt(size[informed])
-        values, vectors = np.linalg.eigh(A[np.ix_(informed, informed)] / np.outer(scale, scale))
+        values, vectors, _ = scaled_eigen(A, informed)
         lost[informed] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > MIN_COMPONENT
+    residual, count = point.columns[..., 0] * flown.noise_growth, flown.inside.sum(axis=1)
     return OutputErrorResult(
         flown=flown,
         parameters=free,
@@ -401,11 +369,11 @@ def result_at(
         covariance=covariance_of(A, ~held & ~lost),
         information=A - np.diag(prior.precision),
         priors=prior,
-        rms=np.sqrt(np.sum(residual**2, axis=1) / np.maximum(point.products.count, 1.0)[:, None]),
+        rms=np.sqrt(np.sum(residual**2, axis=1) / np.maximum(count, 1)[:, None]),
         status=status,
         iterations=iterations,
         at_bound=at_bound,
-        columns=columns,
+        columns=point.columns,
         eliminated=eliminated,
         undetermined=tuple(p.name for p, unknown in zip(free, lost, strict=True) if unknown),
     )
@@ -423,14 +391,12 @@ MIN_GAIN_RATIO = 0.05  # least ratio of actual to expected gain of a step
 _simulate = eqx.filter_jit(simulate)
 
 
-def trajectories(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
-    """`segments.simulate`, compiled."""
-    return _simulate(flown.nameless, theta, departure)
+def trajectories(flown: SegmentTrajectories, theta: Any, departure: Any) -> Simulated:
+    """`segments.simulate`, compiled, with parameters (k,) and corrections of the initial states (w, s)."""
+    return _simulate(flown.nameless, jnp.asarray(theta), jnp.asarray(departure))
 
 
-def one_by_one(
-    flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]
-) -> tuple[tuple[str, ...], dict[int, Simulated]]:
+def one_by_one(flown: SegmentTrajectories, theta: Any, departure: Any) -> tuple[tuple[str, ...], dict[int, Simulated]]:
     """Names of all recorded outputs, and `trajectories` with them of each segment that has samples."""
     # One program serves any number of segments and any choice of outputs.
     shown = tuple(n for n in flown.dynamics.outputs if n in flown.flights.channels)
@@ -439,23 +405,21 @@ def one_by_one(
     return shown, {row: trajectories(wide.part([row]), theta, departure[row : row + 1]) for row in rows}
 
 
-class _Trajectories:
-    """Minus the log posterior density as a `Problem`, initial states at their optimum; the last point is kept."""
+class _Trajectories(Problem):
+    """Minus the log posterior density, initial states at their optimum; the last point is kept."""
 
     def __init__(self, equations: NormalEquations, point: Point, bounds: Float[np.ndarray, "k 2"], moving: np.ndarray):
+        super().__init__(bounds, moving)
         self.equations, self.point, self.tried = equations, point, point
-        self.bounds, self.moving, self.step_limit = bounds, moving, np.full(len(bounds), np.inf)
 
-    def cost(self, point: Float[np.ndarray, " k"]) -> float:
-        if point is self.point.theta:
-            return self.point.cost
-        departure = self.point.departure + self.states.step(point - self.point.theta)
-        self.tried = self.equations.evaluate(point, departure)
+    def cost(self, point: Vector) -> float:
+        if point is not self.point.theta:
+            departure = self.point.departure + self.states.step(point - self.point.theta)
+            self.tried = self.equations.evaluate(point, departure)
         return self.tried.cost
 
-    def evaluate(self, point: Float[np.ndarray, " k"]) -> Evaluation:
-        if point is not self.point.theta:
-            self.point = self.tried
+    def evaluate(self, point: Vector) -> Evaluation:
+        self.point = self.tried
         if not math.isfinite(self.point.cost):
             return Evaluation(self.point.cost, np.zeros(len(point)), np.eye(len(point)))
         A, g, self.states = reduced_equations(self.point, self.equations.prior)
@@ -484,8 +448,8 @@ class FitOptions(NamedTuple):
 def fit_output_error(
     flown: SegmentTrajectories,
     *,
-    start: Float[np.ndarray, " k"] | None = None,
-    departure: Float[np.ndarray, "w s"] | None = None,
+    start: Vector | None = None,
+    departure: OfStates | None = None,
     held: Mapping[str, float] | None = None,
     biases: Mapping[str, Prior] | None = None,
     stopped: Callable[[], bool] | None = None,
@@ -512,8 +476,7 @@ def fit_output_error(
     problem = _Trajectories(equations, equations.evaluate(np.clip(theta, *bounds.T), departure), bounds, ~held_mask)
     tolerance = max(TOLERANCE, COLOURED_TOLERANCE * (prior_weight - 1.0))
     rule = RULE._replace(last=1e-2 * max(1.0, prior_weight), max_steps=max_iterations)
-    begin = problem.point.theta
-    theta, at, converged, count = minimise(problem, begin, problem.evaluate, tolerance, rule, stopped=stopped)
+    theta, at, converged, count = minimise(problem, problem.point.theta, tolerance, rule, stopped=stopped)
     point, moving = problem.point, problem.moving
     if converged:
         A, g, limits = at.information[np.ix_(moving, moving)], -at.gradient[moving], (bounds - theta[:, None])[moving]
@@ -527,7 +490,7 @@ def fit_output_error(
 
 def fit_cascade(
     stages: Sequence[SegmentTrajectories],
-    starts: Sequence[Float[np.ndarray, " k"]],
+    starts: Sequence[Vector],
     *,
     held: Mapping[str, float] | None = None,
     prior_weight: float = 1.0,
@@ -536,12 +499,13 @@ def fit_cascade(
     """Fit the short windows of the first stage from every start, then each later stage from the best fit so far."""
     # Short windows keep the simulation near the record where the aircraft is unstable or the start is poor, but hide
     # slow errors of the model. The last stage should therefore be whole manoeuvres.
-    options = {"held": held, "prior_weight": prior_weight, "without": without}
-    first = [fit_output_error(stages[0], start=s, max_iterations=MAX_EARLY_ITERATIONS, **options) for s in starts]
-    best = min(first, key=lambda found: (found.status is OutputErrorStatus.LEFT_ENVELOPE, found.cost))
-    for number, stage in enumerate(stages[1:], start=2):
-        max_iterations = MAX_ITERATIONS if number == len(stages) else MAX_EARLY_ITERATIONS
-        best = fit_output_error(stage, start=best.estimate, max_iterations=max_iterations, **options)
+    best = None
+    for number, stage in enumerate(stages, start=1):
+        steps = MAX_ITERATIONS if 1 < number == len(stages) else MAX_EARLY_ITERATIONS
+        options: Any = {"held": held, "prior_weight": prior_weight, "without": without, "max_iterations": steps}
+        fits = [fit_output_error(stage, start=s, **options) for s in (starts if best is None else [best.estimate])]
+        best = min(fits, key=lambda fit: (fit.status is OutputErrorStatus.LEFT_ENVELOPE, fit.cost))
+    assert best is not None
     return best
 
 
@@ -567,38 +531,32 @@ class SeparatedFlow:
         if fit.status is OutputErrorStatus.LEFT_ENVELOPE or not np.isfinite(fit.cost):
             return None
         flown = fit.flown
-        shown, found = one_by_one(flown, jnp.asarray(fit.estimate), jnp.asarray(fit.departure))
-        if not all("X" in one.trajectory.outputs for one in found.values()):
+        shown, simulated = one_by_one(flown, fit.estimate, fit.departure)
+        if not all("X" in one.trajectory.outputs for one in simulated.values()):
             return None
         residual, separated = np.zeros((*flown.inside.shape, len(flown.outputs))), np.zeros(flown.inside.shape)
         at = [shown.index(name) for name in flown.outputs]
-        for row, one in found.items():
+        for row, one in simulated.items():
             residual[row] = np.asarray(one.residual[0])[:, at]
             separated[row] = np.clip(1.0 - np.asarray(one.trajectory.outputs["X"][0]), 0.0, 1.0)
-        if np.ptp(separated[flown.inside]) < MIN_X_RANGE:
-            return None
-        return cls(residual, separated, flown.inside)
+        return None if np.ptp(separated[flown.inside]) < MIN_X_RANGE else cls(residual, separated, flown.inside)
 
     def growths(self, without: int | None = None) -> Float[np.ndarray, " c"]:
-        used = self.inside.copy()
-        if without is not None:
-            used[without] = False
+        """Maximum-likelihood b >= 0 of normal residuals with standard deviation proportional to 1 + b (1 - X)."""
+        # Autocorrelation of the residuals increases the error of b, but does not bias it.
+        used = self.inside & (np.arange(len(self.inside)) != without)[:, None]
         separated = self.separated[used]
 
-        def growth(residual: np.ndarray) -> float:
-            """Maximum-likelihood b >= 0 of normal residuals with standard deviation proportional to 1 + b (1 - X)."""
-            # Autocorrelation of the residuals increases the error of b, but does not bias it.
+        def cost(b: float, residual: np.ndarray) -> float:
+            size = 1.0 + b * separated
+            return 0.5 * np.log(np.mean((residual / size) ** 2)) + np.mean(np.log(size))
 
-            def cost(b: float) -> float:
-                size = 1.0 + b * separated
-                return 0.5 * np.log(np.mean((residual / size) ** 2)) + np.mean(np.log(size))
-
-            if not residual.any():  # no error, or no output
-                return 0.0
-            found: Any = minimize_scalar(cost, bounds=(0.0, MAX_GROWTH), method="bounded")  # it has no types of its own
-            return float(found.x) if found.fun < cost(0.0) else 0.0
-
-        return np.array([growth(x) for x in self.residual[used].T])
+        growths = np.zeros(self.residual.shape[2])
+        for c, residual in enumerate(self.residual[used].T):
+            if residual.any():  # else no error, or no output
+                best: Any = minimize_scalar(cost, bounds=(0.0, MAX_GROWTH), args=(residual,), method="bounded")
+                growths[c] = best.x if best.fun < cost(0.0, residual) else 0.0
+        return growths
 
     def noise_growth(self, without: int | None = None) -> Float[np.ndarray, "w n c"]:
         return 1.0 + self.growths(without) * self.separated[:, :, None]

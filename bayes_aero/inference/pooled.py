@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import arviz_base as azb
@@ -24,21 +23,12 @@ from jaxtyping import Array, Bool, Float
 
 from bayes_aero.arrays import AnyArray
 from bayes_aero.errors import InputError
+from bayes_aero.inference import mle
 from bayes_aero.inference.covariance import robust_covariance
-from bayes_aero.inference.mle import (
-    MAX_SEPARATE_FITS,
-    SINGULAR,
-    TOLERANCE,
-    data_of,
-    evaluate,
-    full_steps,
-    scaled_inverse,
-)
 from bayes_aero.inference.results import MleResult, MleStatus, NextFlight, Posterior
 from bayes_aero.inference.sampling import NutsLength, diagnose, find_mode, sample_nuts
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import LogDensity
-from bayes_aero.model.observations import Observations
+from bayes_aero.model.observations import LogDensity, Observations
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress
 
@@ -49,15 +39,13 @@ class Hierarchy(LogDensity):
     """Density of the scatter of k parameters between m manoeuvres; `x` are its standard deviations."""
 
     scattering: tuple[Parameter, ...] = eqx.field(static=True)
-    label_of = "normal approximation"  # pyright: ignore[reportAssignmentType]
+    noise_label = "normal approximation"  # pyright: ignore[reportAssignmentType]
     estimate: Float[Array, "m k"]
     factor: Float[Array, "m k k"]  # F of each information matrix F F'
 
     @classmethod
-    def of(
-        cls, names: Sequence[str], estimate: Float[np.ndarray, "m k"], information: Float[np.ndarray, "m k k"]
-    ) -> Hierarchy:
-        """The density of estimates with their information matrices, in units of the priors."""
+    def of(cls, names: Sequence[str], estimate: np.ndarray, information: Float[np.ndarray, "m k k"]) -> Hierarchy:
+        """The density of estimates (m, k) with their information matrices, in units of the priors."""
         prior = Prior("halfnormal", 0.0, SCATTER)
         text = "standard deviation between manoeuvres, in units of the prior's"
         scattering = tuple(Parameter(name, "1", 0.0, SCATTER, text, prior, (0.0, np.inf)) for name in names)
@@ -111,31 +99,27 @@ def given_scatter(
     density: Hierarchy, scatter: Float[np.ndarray, "chain draw k"], rng: np.random.Generator
 ) -> PooledDraws:
     """A draw of the aircraft, of each manoeuvre and of the next flight for each draw of the scatter."""
-    estimate, factor = np.asarray(density.estimate), np.asarray(density.factor)
     identity = np.eye(density.size)
     precision, weighed = np.broadcast_to(identity, (*scatter.shape, density.size)).copy(), np.zeros(scatter.shape)
-    for y, F in zip(estimate, factor, strict=True):
+    each = list(zip(*map(np.asarray, (density.estimate, density.factor)), strict=True))
+    for y, F in each:
         scaled = scatter[..., :, None] * F
         P = F @ np.linalg.solve(identity + np.swapaxes(scaled, -1, -2) @ scaled, np.broadcast_to(F.T, scaled.shape))
-        precision += P
-        weighed += P @ y
-    aircraft = _normal(precision, weighed, rng)
-    manoeuvres = []
-    for y, F in zip(estimate, factor, strict=True):
+        precision, weighed = precision + P, weighed + P @ y
+
+    def normal(precision: np.ndarray, weighed: np.ndarray) -> np.ndarray:
+        upper = np.swapaxes(np.linalg.cholesky(precision), -1, -2)
+        white = np.linalg.solve(upper, rng.standard_normal((*weighed.shape, 1)))
+        return (np.linalg.solve(precision, weighed[..., None]) + white)[..., 0]
+
+    aircraft, manoeuvres = normal(precision, weighed), []
+    for y, F in each:
         scaled = scatter[..., :, None] * F
         pulled = np.einsum("...ij,...j->...i", scaled, (y - aircraft) @ F)
-        offset = _normal(identity + scaled @ np.swapaxes(scaled, -1, -2), pulled, rng)
+        offset = normal(identity + scaled @ np.swapaxes(scaled, -1, -2), pulled)
         manoeuvres.append(aircraft + scatter * offset)
     following = aircraft + scatter * rng.standard_normal(scatter.shape)
     return PooledDraws(aircraft, scatter, following, np.stack(manoeuvres, axis=-2))
-
-
-def _normal(
-    precision: Float[np.ndarray, "*s k k"], weighed: Float[np.ndarray, "*s k"], rng: np.random.Generator
-) -> Float[np.ndarray, "*s k"]:
-    upper = np.swapaxes(np.linalg.cholesky(precision), -1, -2)
-    mean = np.linalg.solve(precision, weighed[..., None])
-    return (mean + np.linalg.solve(upper, rng.standard_normal((*weighed.shape, 1))))[..., 0]
 
 
 # --- From fits of single manoeuvres to the parameters of a flight not yet flown.
@@ -146,9 +130,9 @@ SHAPES = {key: ["parameter"] for key in ("aircraft", "scatter", "next_flight")} 
 
 def check_manoeuvres(count: int) -> None:
     """Refuse one manoeuvre, or more than are fitted one by one, by an `InputError` before anything is computed."""
-    if not 1 < count <= MAX_SEPARATE_FITS:
+    if not 1 < count <= mle.MAX_SEPARATE_FITS:
         raise InputError(
-            f"the next flight needs 2 to {MAX_SEPARATE_FITS} manoeuvres, and there {'is' if count == 1 else 'are'} "
+            f"the next flight needs 2 to {mle.MAX_SEPARATE_FITS} manoeuvres, and there {'is' if count == 1 else 'are'} "
             f"{count}; give other records, or divide a file by --split or parts like flight.csv@12.5:40"
         )
 
@@ -162,7 +146,7 @@ def next_flight(
     progress: Progress | None = None,
 ) -> NextFlight:
     """Pool the fits `alone` of manoeuvres: parameters scatter around the aircraft's, by an amount that is sampled."""
-    # In SI and radians. Raises `InputError` where fewer than two of the fits are usable.
+    # `InputError`: fewer than two of the fits are usable.
     began = time.perf_counter()
     given = normal_estimates(model, observations, alone)
     if len(given.names) < 2:
@@ -177,37 +161,29 @@ def next_flight(
             f"{max(sizes, key=lambda name: sizes[name])} a matrix is singular ({reason}); leave this record out, fix "
             "the parameters that the correlations name on the card, or do without --next-flight"
         ) from reason
-    names, scatter = model.names, drawn.scatter
+    names, scatter, used = model.names, drawn.scatter, given.names
     drawn = PooledDraws(*(_each(model.free, from_prior_units, v) for v in drawn))
     drawn = drawn._replace(scatter=scatter * _each(model.free, prior_unit, drawn.aircraft))
-    units = {name: _each(model.free, prior_unit, alone[name].estimate) for name in given.names}
     stats = {name: np.asarray(x) for name, x in sampled.tree["sample_stats"].to_dataset().items()}
-    coords = {"parameter": list(names), "flown": list(given.names)}
-    tree = azb.from_dict(
-        {"posterior": dict(zip(SHAPES, drawn, strict=True)), "sample_stats": stats}, dims=SHAPES, coords=coords
-    )
+    groups = {"posterior": dict(zip(SHAPES, drawn, strict=True)), "sample_stats": stats}
+    tree = azb.from_dict(groups, dims=SHAPES, coords={"parameter": list(names), "flown": list(used)})
     tree.attrs |= {"engine": sampled.engine, "likelihood": sampled.noise}
+    alone_by_name, unseen = {}, dict.fromkeys(names, ())
+    for name, deviation, shown in zip(used, given.sd, given.determined, strict=True):
+        sd = deviation * _each(model.free, prior_unit, alone[name].estimate)
+        both = zip(names, map(float, alone[name].estimate), map(float, sd), strict=True)
+        alone_by_name[name] = {n: (x, error) for n, x, error in both if np.isfinite(error)}
+        unseen |= {n: (*unseen[n], name) for n, says in zip(names, shown, strict=True) if not says}
     return NextFlight(
         parameters=model.free,
-        manoeuvres=given.names,
-        alone={  # of the parameters that have a standard error
-            name: {
-                n: (float(x), float(sd * unit))
-                for n, x, sd, unit in zip(names, alone[name].estimate, given.sd[m], units[name], strict=True)
-                if np.isfinite(sd)
-            }
-            for m, name in enumerate(given.names)
-        },
-        pooled={name: diagnose(drawn.manoeuvres[:, :, m], names) for m, name in enumerate(given.names)},
+        manoeuvres=used,
+        alone=alone_by_name,
+        pooled={name: diagnose(drawn.manoeuvres[:, :, m], names) for m, name in enumerate(used)},
         aircraft=diagnose(drawn.aircraft, names),
         scatter=diagnose(drawn.scatter, names),
         following=diagnose(drawn.following, names),
-        narrowed={name: one.sd / HALF_NORMAL_SD for name, one in sampled.marginals.items()},
-        undetermined={
-            name: tuple(m for m, says in zip(given.names, given.determined[:, i], strict=True) if not says)
-            for i, name in enumerate(names)
-            if not np.all(given.determined[:, i])
-        },
+        narrowed={name: marginal.sd / HALF_NORMAL_SD for name, marginal in sampled.marginals.items()},
+        undetermined={name: flights for name, flights in unseen.items() if flights},
         left_out=given.left_out,
         tree=tree,
         status=sampled.status,
@@ -223,8 +199,7 @@ BARELY = 1e-10  # information, in units of the priors, that stands for none
 INFINITE = 1e3  # deviations of the prior: a standard error beyond is none
 
 
-@dataclass(frozen=True)
-class NormalEstimates:
+class NormalEstimates(NamedTuple):
     """m manoeuvres as normal distributions in units of the priors."""
 
     names: tuple[str, ...]
@@ -259,33 +234,23 @@ def prior_unit(prior: Prior, x: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s"]:
 def normal_estimates(model: Model, observations: Observations, alone: Mapping[str, MleResult]) -> NormalEstimates:
     """The normal approximations of the likelihoods of `alone`, the fits by manoeuvre of `observations`."""
     left_out = {name: fit.status.value for name, fit in alone.items() if fit.status not in USABLE}
-    used, y, information = [], [], []
+    y, shaped, k = {}, [], len(model.free)
     for name in (name for name in alone if name not in left_out):
-        fit = alone[name]
-        full = _information(model, observations, name, fit)
-        if full is None:
+        information = _information(model, observations, name, alone[name])
+        if information is None:
             left_out[name] = (
                 "the covariance of its estimates is singular: this record alone does not separate the parameters; give "
                 "a longer or livelier record, or fix parameters on the card"
             )
             continue
-        used.append(name)
-        unit = _each(model.free, prior_unit, fit.estimate)
-        y.append(_each(model.free, to_prior_units, fit.estimate))
-        information.append(full * np.outer(unit, unit))
-    k = len(model.free)
-    shaped = np.reshape(information, (-1, k, k))
-    with_prior = np.linalg.inv(shaped + np.eye(k)) if used else shaped
-    barely = np.linalg.inv(shaped + BARELY * np.eye(k)) if used else shaped
-    variance = np.diagonal(barely, axis1=1, axis2=2)
-    return NormalEstimates(
-        tuple(used),
-        np.reshape(y, (-1, k)),
-        shaped,
-        np.diagonal(with_prior, axis1=1, axis2=2) < 0.5,
-        np.sqrt(np.where(variance < INFINITE**2, np.maximum(variance, 0.0), np.inf)),
-        left_out,
-    )
+        unit = _each(model.free, prior_unit, alone[name].estimate)
+        y[name] = _each(model.free, to_prior_units, alone[name].estimate)
+        shaped.append(information * np.outer(unit, unit))
+    shaped = np.reshape(shaped, (-1, k, k))
+    with_prior, bare = (np.linalg.inv(shaped + weight * np.eye(k)) for weight in (1.0, BARELY))
+    determined, variance = np.diagonal(with_prior, axis1=1, axis2=2) < 0.5, np.diagonal(bare, axis1=1, axis2=2)
+    sd = np.sqrt(np.where(variance < INFINITE**2, np.maximum(variance, 0.0), np.inf))
+    return NormalEstimates(tuple(y), np.reshape(list(y.values()), (-1, k)), shaped, determined, sd, left_out)
 
 
 def _each(
@@ -303,19 +268,19 @@ def _information(
     kept = np.ix_(inside, inside)
     if fit.status is not MleStatus.SINGULAR and np.all(np.isfinite(fit.corrected[kept])):
         information = np.zeros_like(fit.corrected)
-        information[kept] = scaled_inverse(fit.corrected[kept])[0]
-        return (information + information.T) / 2.0 if np.all(np.isfinite(information)) else None
-    alone = observations.only(observations.names.index(name))
-    data = data_of(model, alone)
-    point = full_steps(data, fit.estimate, fit.estimate, fit.estimate, TOLERANCE, 0)
-    residual, S, _ = map(np.asarray, evaluate(data, jnp.asarray(fit.estimate)))
-    A = point.information
-    own_size = np.diag(A)
-    scale = np.sqrt(np.where(own_size > 0.0, own_size, own_size.max()))
-    size, vectors = np.linalg.eigh(A / np.outer(scale, scale))
-    kept = size > np.sqrt(SINGULAR)
-    inverse = (vectors[:, kept] / size[kept]) @ vectors[:, kept].T / np.outer(scale, scale)
-    covariance, _ = robust_covariance(inverse, S, point.R, residual, alone.manoeuvre, np.asarray(alone.start), alone.dt)
-    combined = vectors[:, kept] * scale[:, None]  # what the record determines is combined' times the parameters
-    information = combined @ scaled_inverse(combined.T @ covariance @ combined)[0] @ combined.T
+        information[kept] = mle.scaled_inverse(fit.corrected[kept])[0]
+    else:
+        alone = observations.only(observations.names.index(name))
+        data = mle.data_of(model, alone)
+        point = mle.full_steps(data, fit.estimate, fit.estimate, fit.estimate, mle.TOLERANCE, 0)
+        residual, S, _ = map(np.asarray, mle.evaluate(data, jnp.asarray(fit.estimate)))
+        own_size = np.diag(point.information)
+        scale = np.sqrt(np.where(own_size > 0.0, own_size, own_size.max()))
+        size, vectors = np.linalg.eigh(point.information / np.outer(scale, scale))
+        seen = size > np.sqrt(mle.SINGULAR)
+        inverse = (vectors[:, seen] / size[seen]) @ vectors[:, seen].T / np.outer(scale, scale)
+        marks = alone.manoeuvre, np.asarray(alone.start), alone.dt
+        covariance, _ = robust_covariance(inverse, S, point.R, residual, *marks)
+        combined = vectors[:, seen] * scale[:, None]  # what the record determines is combined' times the parameters
+        information = combined @ mle.scaled_inverse(combined.T @ covariance @ combined)[0] @ combined.T
     return (information + information.T) / 2.0 if np.all(np.isfinite(information)) else None

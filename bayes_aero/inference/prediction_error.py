@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -19,6 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from scipy.special import betainc
+from scipy.stats import beta, norm
 
 from bayes_aero.dynamics.flight import EffectDynamics
 from bayes_aero.dynamics.kalman import (
@@ -29,28 +31,17 @@ from bayes_aero.dynamics.kalman import (
     linear_innovations,
     linearise,
     log_likelihood,
+    neighbour_correlation,
     noise_derivatives,
 )
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health import quantum
-from bayes_aero.inference.covariance import covariance_of
-from bayes_aero.inference.optimise import (
-    APPROXIMATE_SCORING,
-    Evaluation,
-    minimise,
-)
+from bayes_aero.inference.covariance import covariance_of, standard_error_of_sum
+from bayes_aero.inference.optimise import APPROXIMATE_SCORING, Evaluation, Problem, Vector, minimise
 from bayes_aero.inference.output_error import initial_state_sd
-from bayes_aero.inference.results import Posterior
-from bayes_aero.inference.sampling import (
-    EnsembleLength,
-    NutsLength,
-    WarmUp,
-    find_mode,
-    inside,
-    sample_ensemble,
-    sample_nuts,
-)
-from bayes_aero.model.noise import LogDensity
+from bayes_aero.inference.results import COLOURED_INNOVATIONS, Calibration, OneStep, Posterior, Predicted, Share
+from bayes_aero.inference.sampling import EnsembleLength, NutsLength, find_mode, inside, sample_ensemble, sample_nuts
+from bayes_aero.model.observations import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress
 
@@ -77,7 +68,7 @@ class PredictionErrorResult:
     names: tuple[str, ...]
     states: tuple[str, ...]
     outputs: tuple[str, ...]
-    estimate: Float[np.ndarray, " k"]
+    estimate: Vector
     F: Float[np.ndarray, " s"]
     R: Float[np.ndarray, " c"]
     covariance: Float[np.ndarray, "j j"]
@@ -109,10 +100,8 @@ def _evaluate(flown, point, start_deviation, k, s):
         filtered = _filter(flown, point, start_deviation, k, s)
         return (filtered.innovation, filtered.variance), filtered
 
-    directions = jnp.eye(len(point))
-    (e, S), (de, dS), filtered = jax.vmap(
-        lambda t: jax.jvp(at, (point,), (t,), has_aux=True), out_axes=(None, -1, None)
-    )(directions)
+    derivative = jax.vmap(lambda t: jax.jvp(at, (point,), (t,), has_aux=True), out_axes=(None, -1, None))
+    (e, S), (de, dS), filtered = derivative(jnp.eye(len(point)))
     return _scores(e, S, de, dS, filtered.used)
 
 
@@ -149,116 +138,96 @@ def _scores(e, S, de, dS, used):
     return cost, gradient, information
 
 
+def start_deviation(flown: SegmentTrajectories) -> Float[np.ndarray, " s"]:
+    """Standard deviations of the measured initial state, SI; zero where it is fixed."""
+    return initial_state_sd(flown.dynamics) * (flown.fixed is None)
+
+
 def fit_prediction_error(
     flown: SegmentTrajectories,
     F: Float[np.ndarray, " s"],
     R: Float[np.ndarray, " c"],
     *,
-    start: Float[np.ndarray, " k"] | None = None,
+    start: Vector | None = None,
     priors: bool = True,
     exact: bool = True,
 ) -> PredictionErrorResult:
     """Fit all segments together from the noise `F` (s,) and `R` (c,), SI; consistent estimates where not `exact`."""
-    F = np.asarray(F, float)
-    problem = _Problem.of(flown.nameless, F > 0.0, priors)
-    free = flown.dynamics.free
+    F, free, dynamics = np.asarray(F, float), flown.dynamics.free, flown.dynamics
+    problem, k, s = _Innovations(flown.nameless, F > 0.0, priors), len(free), len(F)
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
-    point = np.concatenate([theta, np.log(np.maximum(F, MIN_NOISE)), np.log(np.maximum(R, MIN_NOISE))])
-    point[problem.k :] = np.maximum(point[problem.k :], problem.bounds[problem.k :, 0])
-    point, current, converged, first_steps = minimise(
-        problem, point, problem.evaluate_held_gains, HELD_GAINS_TOLERANCE, APPROXIMATE_SCORING
+    logs = np.log(np.maximum(np.concatenate([F, R]), MIN_NOISE))
+    point = np.concatenate([theta, np.maximum(logs, problem.bounds[k:, 0])])
+    point, at, converged, steps = minimise(
+        problem, point, HELD_GAINS_TOLERANCE, APPROXIMATE_SCORING, evaluate=problem.evaluate_held_gains
     )
-    steps = 0
     if exact:
-        point, current, converged, steps = minimise(problem, point, problem.evaluate, TOLERANCE)
+        point, at, converged, more = minimise(problem, point, TOLERANCE)
+        steps += more
     status = PredictionErrorStatus.CONVERGED if converged else PredictionErrorStatus.NOT_CONVERGED
-    if not math.isfinite(current.cost):
-        status = PredictionErrorStatus.DIVERGED
-    k, s = problem.k, problem.s
     return PredictionErrorResult(
-        tuple(p.name for p in free),
-        flown.dynamics.states,
-        flown.outputs,
-        point[:k],
-        np.where(F > 0.0, np.exp(point[k : k + s]), 0.0),
-        np.exp(point[k + s :]),
-        covariance_of(current.information, problem.moving),
-        problem.prior_cost(point) - current.cost,
-        current.cost,
-        problem.path(point)[1],
-        status,
-        first_steps + steps,
+        names=dynamics.names,
+        states=dynamics.states,
+        outputs=flown.outputs,
+        estimate=point[:k],
+        F=np.where(F > 0.0, np.exp(point[k : k + s]), 0.0),
+        R=np.exp(point[k + s :]),
+        covariance=covariance_of(at.information, problem.moving),
+        log_likelihood=problem.prior_cost(point) - at.cost,
+        cost=at.cost,
+        found=problem.path(point)[1],
+        status=status if math.isfinite(at.cost) else PredictionErrorStatus.DIVERGED,
+        iterations=steps,
     )
 
 
-@dataclass(frozen=True)
-class _Problem:
+class _Innovations(Problem):
     """Minus the log posterior density of j = k + s + c variables: parameters (k), log F (s), log R (c)."""
 
-    flown: SegmentTrajectories
-    deviation: Float[Array, " s"]
-    moving: Bool[np.ndarray, " j"]
-    mean: Float[np.ndarray, " j"]
-    precision: Float[np.ndarray, " j"]
-    bounds: Float[np.ndarray, "j 2"]
-    step_limit: Float[np.ndarray, " j"]
-    _last: dict[bytes, tuple[float, Filtered]] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, flown: SegmentTrajectories, disturbed: Bool[np.ndarray, " s"], priors: bool) -> _Problem:
-        free, k = flown.dynamics.free, len(flown.dynamics.free)
-        deviation = np.zeros(len(disturbed)) if flown.fixed is not None else initial_state_sd(flown.dynamics)
-        moving = np.array([*([True] * k), *disturbed, *([True] * len(flown.outputs))])
-        mean, precision = np.zeros(len(moving)), np.zeros(len(moving))
+    def __init__(self, flown: SegmentTrajectories, disturbed: np.ndarray, priors: bool) -> None:
+        free, channels = flown.dynamics.free, flown.flights.channels
+        k, s, rest = len(free), len(disturbed), len(disturbed) + len(flown.outputs)
+        rows = [np.flatnonzero(flown.flights.manoeuvre == number) for number in np.unique(flown.manoeuvre)]
+        finest = (min(quantum(np.asarray(channels[n])[part]) for part in rows) for n in flown.outputs)
+        least = [*[MIN_NOISE] * s, *(max(MIN_NOISE, step**2 / ROUNDING_DIVISOR) for step in finest)]
+        bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in least)])
+        super().__init__(bounds, np.array([*[True] * k, *disturbed, *[True] * len(flown.outputs)]))
+        self.step_limit[k:] = LOG_STEP_LIMIT
+        self.mean, self.precision = np.zeros(k + rest), np.zeros(k + rest)
         if priors:
             normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
-            mean[:k], precision[:k] = normals[:, 0], normals[:, 1] ** -2.0
-        channels, manoeuvre = flown.flights.channels, flown.flights.manoeuvre
-        by_manoeuvre = [np.flatnonzero(manoeuvre == number) for number in np.unique(flown.manoeuvre)]
-        steps = [min(quantum(np.asarray(channels[n])[rows]) for rows in by_manoeuvre) for n in flown.outputs]  # finest
-        smallest = [*[MIN_NOISE] * len(disturbed), *(max(MIN_NOISE, step**2 / ROUNDING_DIVISOR) for step in steps)]
-        bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in smallest)])
-        limit = np.where(np.arange(len(moving)) < k, np.inf, LOG_STEP_LIMIT)
-        return cls(flown, jnp.asarray(deviation), moving, mean, precision, bounds, limit)
+            self.mean[:k], self.precision[:k] = normals[:, 0], normals[:, 1] ** -2.0
+        self.flown, self.sizes = flown, (jnp.asarray(start_deviation(flown)), k, s)
+        self._last: tuple[bytes, float, Filtered] | None = None
 
-    @property
-    def k(self) -> int:
-        return len(self.flown.dynamics.free)
-
-    @property
-    def s(self) -> int:
-        return len(self.flown.dynamics.states)
-
-    def prior_cost(self, point: Float[np.ndarray, " j"]) -> float:
+    def prior_cost(self, point: Vector) -> float:
         return 0.5 * float(self.precision @ (point - self.mean) ** 2)
 
-    def cost(self, point: Float[np.ndarray, " j"]) -> float:
+    def cost(self, point: Vector) -> float:
         return self.path(point)[0] + self.prior_cost(point)
 
-    def path(self, point: Float[np.ndarray, " j"]) -> tuple[float, Filtered]:
+    def path(self, point: Vector) -> tuple[float, Filtered]:
         """Minus the log likelihood, and the filtered segments; those of the last point are stored."""
-        key = point.tobytes()
-        if key not in self._last:
-            cost, found = _filter_segments(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
-            self._last.clear()
-            self._last[key] = float(cost), found
-        return self._last[key]
+        if self._last is None or self._last[0] != point.tobytes():
+            cost, filtered = _filter_segments(self.flown, jnp.asarray(point), *self.sizes)
+            self._last = point.tobytes(), float(cost), filtered
+        return self._last[1:]
 
-    def evaluate(self, point: Float[np.ndarray, " j"], held: tuple[Array, ...] | None = None) -> Evaluation:
-        """Cost, gradient and expected information; `held`: those of the likelihood, where they are known."""
-        likelihood = held or _evaluate(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
+    def evaluate(self, point: Vector) -> Evaluation:
+        """Cost, gradient and expected information."""
+        return self._with_priors(point, _evaluate(self.flown, jnp.asarray(point), *self.sizes))
+
+    def evaluate_held_gains(self, point: Vector) -> Evaluation:
+        """The same without the derivatives of the gains by the parameters of the motion."""
+        dynamics = self.flown.dynamics
+        means = tuple(i for i, p in enumerate(dynamics.free) if p.name not in dynamics.disturbance_parameters)
+        path = self.path(point)[1]
+        return self._with_priors(point, _evaluate_held_gains(self.flown, path, jnp.asarray(point), *self.sizes, means))
+
+    def _with_priors(self, point: Vector, likelihood: Sequence[Array]) -> Evaluation:
         cost, gradient, information = (np.asarray(x) for x in likelihood)
         gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
         return Evaluation(float(cost) + self.prior_cost(point), gradient, information)
-
-    def evaluate_held_gains(self, point: Float[np.ndarray, " j"]) -> Evaluation:
-        """Cost, gradient and information without the derivatives of the gains by the parameters of the motion."""
-        dynamics = self.flown.dynamics
-        names = dynamics.disturbance_parameters
-        means = tuple(i for i, p in enumerate(dynamics.free) if p.name not in names)
-        path = self.path(point)[1]
-        likelihood = _evaluate_held_gains(self.flown, path, jnp.asarray(point), self.deviation, self.k, self.s, means)
-        return self.evaluate(point, likelihood)
 
 
 # --- A fit with all disturbances of a flight: gusts, and process noise of the states for what gusts do not explain.
@@ -288,7 +257,7 @@ def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
 
 def fit_disturbed(
     flown: SegmentTrajectories,
-    estimate: Float[np.ndarray, " k"],
+    estimate: Vector,
     R: Float[np.ndarray, " c"],
     *,
     priors: bool = True,
@@ -326,8 +295,7 @@ def fit_disturbed(
 # (`knee`).
 
 ENGINES = ("emcee", "nuts")  # the faster one first
-KNEE_OF_PROCESS, KNEE_OF_MEASUREMENT = 0.5, 0.03  # of the median, see `Parameter.knee`
-KNEE_OF_INTENSITY = 0.05  # of the prior's width
+KNEE_OF_INTENSITY = 0.05  # of the prior's width, see `Parameter.knee`; those of noises are of the median
 SPREAD = 2.0  # standard deviation of the logarithm of a process or measurement noise: a factor of 50 either way, 95 %
 
 
@@ -340,25 +308,24 @@ class InnovationsDensity(LogDensity):
     # noise by output; SI.
     process: tuple[float, ...] = eqx.field(static=True)
     measurement: tuple[float, ...] = eqx.field(static=True)
-    label_of = "white, of states and measurements"  # pyright: ignore[reportAssignmentType]
+    noise_label = "white, of states and measurements"  # pyright: ignore[reportAssignmentType]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        dynamics = self.flown.dynamics
-        motion = []
+        dynamics, motion = self.flown.dynamics, []
         for p in dynamics.free:
             intensity = p.name in dynamics.disturbance_parameters and p.prior.family == "halfnormal"
             motion.append(p.changed(knee=KNEE_OF_INTENSITY * p.prior.scale) if intensity else p)  # it may reach zero
-        process = [
-            _noise(f"F_{name}", f"process noise of {name}, in its unit per square root of a second", x, KNEE_OF_PROCESS)
-            for name, x in zip(dynamics.states, self.process, strict=True)
-            if x > 0.0
-        ]
-        measurement = [
-            _noise(f"sigma_{name}", f"standard deviation of the noise of {name}", x, KNEE_OF_MEASUREMENT)
-            for name, x in zip(self.flown.outputs, self.measurement, strict=True)
-        ]
-        return (*motion, *process, *measurement)
+        for kind, text, names, medians, knee in (
+            ("F", "process noise of {}, in its unit per square root of a second", dynamics.states, self.process, 0.5),
+            ("sigma", "standard deviation of the noise of {}", self.flown.outputs, self.measurement, 0.03),
+        ):
+            for name, x in zip(names, medians, strict=True):
+                if x > 0.0:
+                    prior = Prior("lognormal", x, SPREAD, "weak, about output error's residuals; our choice")
+                    label = f"{kind}_{name}", "SI", 0.0, x, text.format(name)
+                    motion.append(Parameter(*label, prior, (0.0, np.inf), knee=knee * x))
+        return tuple(motion)
 
     @property
     def disturbed(self) -> Int[np.ndarray, " f"]:
@@ -377,18 +344,11 @@ class InnovationsDensity(LogDensity):
         return np.array([*(inside(value, p.bounds) for value, p in free), *F, *np.sqrt(fit.R)])
 
 
-def _noise(name: str, text: str, median: float, knee: float) -> Parameter:
-    prior = Prior("lognormal", median, SPREAD, "weak, about output error's residuals; our choice")
-    return Parameter(name, "SI", 0.0, median, text, prior, (0.0, np.inf), knee=knee * median)
-
-
-SHORT = WarmUp(100, acceptance=0.8, metric=False)  # on a scale that the mode gives well
-
-
 class PosteriorLength(NamedTuple):
     """Chains of both samplers for densities that take milliseconds: two each, one for each core of a small machine."""
 
-    nuts: NutsLength = NutsLength(chains=2, warmup=SHORT, max_blocks=5)
+    # The mode gives the scale well: only a step size is adapted.
+    nuts: NutsLength = NutsLength(chains=2, warmup=200, max_blocks=5, acceptance=0.8, metric=False)
     emcee: EnsembleLength = EnsembleLength(ensembles=2, max_steps=600)
 
 
@@ -405,10 +365,10 @@ def sample_innovations(
     """The posterior by these `engines`, from the `fit` (with priors) of `fit_disturbed`."""
     density = innovations_posterior(flown, R)
     mode = find_mode(density, density.start(fit))
-    asked: Any = {"seed": seed, "progress": progress, "predictive": False}
+    options: Any = {"seed": seed, "progress": progress, "predictive": False}
     samplers = {
-        "emcee": lambda: sample_ensemble(density, mode, length=length.emcee, **asked),
-        "nuts": lambda: sample_nuts(density, mode, length=length.nuts, **asked),
+        "emcee": lambda: sample_ensemble(density, mode, length=length.emcee, **options),
+        "nuts": lambda: sample_nuts(density, mode, length=length.nuts, **options),
     }
     return {engine: samplers[engine]() for engine in engines}
 
@@ -416,9 +376,93 @@ def sample_innovations(
 def innovations_posterior(flown: SegmentTrajectories, R: Float[np.ndarray, " c"]) -> InnovationsDensity:
     """The density; `R` (c,) are variances of output error's residuals. A fixed initial state has no deviation."""
     # Medians of the noise are `FIRST_F` and `FIRST_R` as at the start of the fit; states without a sensor have none.
-    dynamics = flown.dynamics
-    deviation = np.zeros(len(dynamics.states)) if flown.fixed is not None else initial_state_sd(dynamics)
+    dynamics, deviation = flown.dynamics, start_deviation(flown)
     sd = dict(zip(flown.outputs, map(float, np.sqrt(R)), strict=True))
     process = tuple(FIRST_F * sd[name] if name in sd else 0.0 for name in dynamics.states)
     measurement = tuple(float(np.sqrt(FIRST_R)) * sd[name] for name in flown.outputs)
     return InnovationsDensity(flown.nameless, tuple(map(float, deviation)), process, measurement)
+
+
+# --- Whether a filter's one-step predictions are calibrated: shares of innovations inside predictive intervals.
+# Each innovation is predicted from the samples before it and from the outputs before it in its own sample. Where model
+# and noise are right, innovations over their predicted standard deviations are independent and standard normal, and
+# their probability integral transforms are uniform. Where process noise and measurement noise were fitted to the same
+# record, the mean square of the scaled innovations is near 1, and the shares test the shape of the distribution.
+# Sources: Dawid 1984, J. R. Stat. Soc. A 147, 278; Diebold, Gunther and Tay 1998, Int. Econ. Rev. 39, 863.
+
+LEVELS = (0.5, 0.9, 0.95, 0.99)  # of central predictive intervals
+SIGNIFICANCE = 0.05  # rate of false alarms for calibrated predictions, all outputs and levels together
+MIN_INDEPENDENT = 30  # independent innovations below which calibration is undecided; our choice
+NORMAL_SCORES = np.arange(-3.0, 3.01, 0.25)  # at which quantiles are compared
+MIN_BEYOND = 2.0  # least number of innovations beyond a quantile
+TINY = 1e-12
+
+
+def one_step(filtered: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Sequence[str]) -> OneStep:
+    """One-step predictions of w filtered segments, from errors (w, n, c), of outputs with two innovations or more."""
+    z, correlation = standardised(filtered), neighbour_correlation(filtered)
+    columns = [c for c in range(len(outputs)) if np.isfinite(z[..., c]).sum() > 1]
+    tests = len(LEVELS) * (len(columns) + (len(columns) > 1))
+    by_output = {}
+    for c in columns:
+        rms = float(np.sqrt(np.nanmean(np.square(np.asarray(errors)[..., c]))))
+        coloured = bool(abs(correlation[c]) > COLOURED_INNOVATIONS)
+        by_output[outputs[c]] = _assess(z[..., [c]], rms, coloured, tests)
+    return OneStep(by_output, _assess(z[..., columns], None, False, tests))
+
+
+def standardised(filtered: Filtered) -> Float[np.ndarray, "w n c"]:
+    """Innovations over their predicted standard deviations, NaN where nothing was measured."""
+    z = np.asarray(filtered.innovation) / np.sqrt(np.asarray(filtered.variance))
+    return np.where(np.asarray(filtered.used), z, np.nan)
+
+
+def _assess(z: Float[np.ndarray, "w n c"], rms: float | None, coloured: bool, tests: int) -> Predicted:
+    used, u = np.isfinite(z), norm.cdf(z)
+    n, squares = int(used.sum()), np.where(used, np.square(z), 0.0)
+    mean = squares.sum() / n
+    centred = np.where(used, squares - mean, 0.0)
+    inflation = _inflation(centred, used) or 1.0
+    ratio = float(np.sqrt(mean))
+    ratio_sd = float(np.sqrt(inflation * np.sum(centred**2)) / n) / max(2.0 * ratio, TINY)
+    shares, independent = [], n / inflation
+    for level in LEVELS:
+        inside = used & (np.abs(u - 0.5) <= 0.5 * level)
+        share = float(inside.sum() / n)
+        inflation = _inflation(np.where(used, inside - share, 0.0), used) or inflation
+        spread = max(share * (1.0 - share), level * (1.0 - level))
+        # Two-sided binomial p-value of independent innovations; by the beta distribution, for they are no whole number.
+        alone = n / inflation
+        missed, chance = (1.0 - share) * alone, 1.0 - level
+        at_most = float(betainc(max(alone - missed, TINY), missed + 1.0, level))
+        at_least = float(betainc(max(missed, TINY), alone - missed + 1.0, chance))
+        p = min(1.0, 2.0 * min(at_most, at_least))
+        shares.append(Share(level, share, float(np.sqrt(inflation * spread / n)), p))
+        independent = min(independent, alone)
+    differences = [s.share - s.level for s in shares if s.p < SIGNIFICANCE / tests]
+    calibration = (
+        Calibration.COLOURED if coloured and not differences
+        else Calibration.UNDECIDED if independent < MIN_INDEPENDENT
+        else Calibration.CALIBRATED if not differences
+        else Calibration.TOO_NARROW if max(differences) < 0.0
+        else Calibration.TOO_WIDE if min(differences) > 0.0 else Calibration.NOT_NORMAL
+    )  # fmt: skip
+    # Quantiles: order statistics of as many uniform values as there are independent innovations (Bonferroni).
+    scores, rows = NORMAL_SCORES[n * norm.sf(np.abs(NORMAL_SCORES)) >= MIN_BEYOND], []
+    tail, q_of = 0.5 * SIGNIFICANCE / max(len(scores), 1), norm.cdf(scores)
+    for normal_score, value, q in zip(scores, np.quantile(z[used], q_of), q_of, strict=True):
+        below = used & (z <= value)
+        alone = n / (_inflation(np.where(used, below - below.sum() / n, 0.0), used) or 1.0)
+        band = beta.ppf([tail, 1.0 - tail], q * (alone + 1.0), (1.0 - q) * (alone + 1.0))
+        rows.append([normal_score, value, *norm.ppf(band)])
+    return Predicted(n, rms, (ratio, ratio_sd), tuple(shares), calibration, np.array(rows).reshape(-1, 4))
+
+
+def _inflation(centred: Float[np.ndarray, "w n c"], used: Bool[np.ndarray, "w n c"]) -> float | None:
+    """Variance inflation of the sum of `centred` (zero: not measured) by all correlation, >= 1; None if it is zero."""
+    white = float(np.sum(centred**2))
+    if white <= TINY:
+        return None
+    lengths = [int(np.max(np.flatnonzero(some), initial=-1)) + 1 for some in np.any(used, axis=2)]
+    series = np.concatenate([one[:length].sum(axis=1) for one, length in zip(centred, lengths, strict=True)])
+    return max(1.0, standard_error_of_sum(series, [length for length in lengths if length]) ** 2 / white)

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
+from scipy.sparse.csgraph import connected_components
 
 from bayes_aero.arrays import AnyArray
 from bayes_aero.atomic_write import write_whole
@@ -27,9 +28,10 @@ if TYPE_CHECKING:  # they load JAX, which checks of records do without
     import xarray as xr
 
     from bayes_aero.model.model import Model
-    from bayes_aero.model.noise import Colour
-    from bayes_aero.model.observations import Observations
+    from bayes_aero.model.observations import Colour, Observations
 
+OfEach: TypeAlias = Float[np.ndarray, " k"]
+OfPairs: TypeAlias = Float[np.ndarray, "k k"]
 FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which a record is too short for intervals; our choice
 LARGE_BIAS = 0.75  # of the corrected standard error, which contains the bias
 
@@ -48,33 +50,18 @@ class MleStatus(Enum):
 
 
 @dataclass(frozen=True)
-class MleResult:
-    """A maximum-likelihood fit of k parameters, in SI and radians; arrays follow `parameters`.
+class Estimates:
+    """Estimates of k parameters, in SI and radians; arrays follow `parameters`.
 
     `covariance` (k, k) is that of Cramer and Rao, for white residuals; `corrected` (k, k) counts their autocorrelation
-    over `blocks` blocks of 0.2 s. `R` (3,) are the residual variances of CL, CD, Cm, `eigenvalues` (k,) those of the
-    information matrix scaled to unit diagonal, `separation` the range of X. `fit` and `lag1` are by coefficient,
-    `starts` the cost and status of each start. `active_bounds` are parameters at their bounds, `conflicts` priors that
-    the record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None: not computed.
+    and varying size, and the squared `bias` (k,) from recording noise, which is subtracted from `estimate`; None: not
+    computed.
     """
 
     parameters: tuple[Parameter, ...]
-    estimate: Float[np.ndarray, " k"]
-    covariance: Float[np.ndarray, "k k"]
-    corrected: Float[np.ndarray, "k k"]
-    R: Float[np.ndarray, " c"]
-    status: MleStatus
-    iterations: int
-    at_bound: tuple[str, ...]
-    eigenvalues: Float[np.ndarray, " k"]
-    separation: tuple[float, float]
-    fit: dict[str, Scores]
-    lag1: dict[str, float]
-    starts: tuple[tuple[float, str], ...]
-    active_bounds: tuple[ActiveBound, ...] = ()
-    conflicts: tuple[PriorConflict, ...] = ()
-    blocks: int | None = None
-    bias: Float[np.ndarray, " k"] | None = None
+    estimate: OfEach
+    covariance: OfPairs
+    corrected: OfPairs
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,22 +74,46 @@ class MleResult:
         return tuple(p.unit for p in self.parameters)
 
     @property
+    def crb(self) -> OfEach:
+        """Cramer-Rao standard errors, shape (k,); they assume white residuals."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def crb_corrected(self) -> OfEach:
+        """Standard errors with the residuals' autocorrelation and varying size, shape (k,)."""
+        return np.sqrt(np.diag(self.corrected))
+
+
+@dataclass(frozen=True)
+class MleResult(Estimates):
+    """A maximum-likelihood fit; `corrected` is over `blocks` blocks of 0.2 s.
+
+    `R` (3,) are the residual variances of CL, CD, Cm, `eigenvalues` (k,) those of the information matrix scaled to unit
+    diagonal, `separation` the range of X. `fit` and `lag1` are by coefficient, `starts` the cost and status of each
+    start. `active_bounds` are parameters at their bounds, `conflicts` priors that the record contradicts.
+    """
+
+    R: Float[np.ndarray, " c"]
+    status: MleStatus
+    iterations: int
+    at_bound: tuple[str, ...]
+    eigenvalues: OfEach
+    separation: tuple[float, float]
+    fit: dict[str, Scores]
+    lag1: dict[str, float]
+    starts: tuple[tuple[float, str], ...]
+    active_bounds: tuple[ActiveBound, ...] = ()
+    conflicts: tuple[PriorConflict, ...] = ()
+    blocks: int | None = None
+    bias: OfEach | None = None
+
+    @property
     def det_R(self) -> float:
         """Determinant of the diagonal residual covariance (order CL, CD, Cm)."""
         return float(np.prod(self.R))
 
     @property
-    def crb(self) -> Float[np.ndarray, " k"]:
-        """Cramer-Rao standard errors, shape (k,); they assume white residuals."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def crb_corrected(self) -> Float[np.ndarray, " k"]:
-        """Standard errors with the residuals' autocorrelation and varying size (`robust_covariance`), shape (k,)."""
-        return np.sqrt(np.diag(self.corrected))
-
-    @property
-    def correlation(self) -> Float[np.ndarray, "k k"]:
+    def correlation(self) -> OfPairs:
         """Correlation of the estimates from the Cramer-Rao covariance, shape (k, k)."""
         return self.covariance / np.outer(self.crb, self.crb)
 
@@ -113,10 +124,9 @@ class MleResult:
 
     def strong_correlations(self, limit: float = 0.9) -> list[tuple[str, str, float]]:
         """Pairs of parameters whose estimates are correlated beyond `limit` in size."""
-        rows, columns = np.triu_indices(len(self.names), 1)
-        names, found = self.names, self.correlation
-        pairs = [(names[i], names[j], float(found[i, j])) for i, j in zip(rows, columns, strict=True)]
-        return sorted((pair for pair in pairs if abs(pair[2]) > limit), key=lambda pair: -abs(pair[2]))
+        pairs = zip(*np.triu_indices(len(self.names), 1), strict=True)
+        strong = [(self.names[i], self.names[j], float(self.correlation[i, j])) for i, j in pairs]
+        return sorted((pair for pair in strong if abs(pair[2]) > limit), key=lambda pair: -abs(pair[2]))
 
     def warnings(self) -> list[str]:
         """Warnings for the user of the numbers, one sentence each."""
@@ -141,13 +151,13 @@ class MleResult:
                 if bound < 10.0 * abs(value):  # at a bound of zero a share of the estimate is infinite
                     size = f"{bound / abs(value):.0%} of it"
                 sentences.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
-        bias = np.zeros(len(self.names)) if self.bias is None else self.bias
-        for name, error, sd in zip(self.names, bias, self.crb_corrected, strict=True):
-            if abs(error) > LARGE_BIAS * sd:
-                sentences.append(
-                    f"Noise of the recorded signals biases {name} by {number(error, 2)}, most of its corrected "
-                    "standard error; the bias is subtracted to first order only. Records with less noise are needed."
-                )
+        biases = () if self.bias is None else zip(self.names, self.bias, self.crb_corrected, strict=True)
+        sentences += [
+            f"Noise of the recorded signals biases {name} by {number(error, 2)}, most of its corrected standard error; "
+            "the bias is subtracted to first order only. Records with less noise are needed."
+            for name, error, sd in biases
+            if abs(error) > LARGE_BIAS * sd
+        ]
         sentences += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
         return sentences
 
@@ -207,9 +217,9 @@ class Inseparable:
 def inseparable(
     names: Sequence[str],
     units: Sequence[str],
-    estimate: Float[np.ndarray, " k"],
-    covariance: Float[np.ndarray, "k k"],
-    deviation: Float[np.ndarray, " k"],
+    estimate: OfEach,
+    covariance: OfPairs,
+    deviation: OfEach,
 ) -> tuple[Inseparable, ...]:
     """Sets of parameters that the record cannot separate, at least one of them with a large relative error."""
     # The set with the largest variance inflation comes first. `covariance` of Cramer and Rao: a parameter without
@@ -232,21 +242,21 @@ def inseparable(
     inside = (shares[:, near].sum(axis=1) > VARIANCE_SHARE) & (np.sqrt(inflation) > MIN_WIDENING)
     # Members are connected by their partial correlations: within a dependency of any size these are near one, and the
     # eigenvectors of equally near dependencies are arbitrary mixtures.
-    members, linked = [int(i) for i in np.argsort(-inflation) if inside[i]], np.abs(partial) > MIN_PARTIAL
-    parts: list[list[int]] = []
-    for i in members:
-        mine = [part for part in parts if any(linked[i, j] for j in part)]
-        parts = [part for part in parts if part not in mine] + [[*(j for part in mine for j in part), i]]
+    members = np.array([i for i in np.argsort(-inflation) if inside[i]], int)
+    if not len(members):
+        return ()
+    _, label = connected_components(np.abs(partial)[np.ix_(members, members)] > MIN_PARTIAL, directed=False)
+    parts = [members[label == number] for number in dict.fromkeys(label)]
     sets = []
-    for own in (sorted(part, key=members.index) for part in parts if len(part) > 1):
-        at = [int(free[i]) for i in own]
+    for part in (part for part in parts if len(part) > 1):
+        at = free[part]
         if any(vague[at]):
             sets.append(
                 Inseparable(
                     tuple(names[i] for i in at),
                     tuple(units[i] for i in at),
                     tuple((float(estimate[i]), float(deviation[i])) for i in at),
-                    tuple(float(np.sqrt(inflation[i])) for i in own),
+                    tuple(float(np.sqrt(inflation[i])) for i in part),
                 )
             )
     return tuple(sets)
@@ -256,32 +266,19 @@ def inseparable(
 
 
 @dataclass(frozen=True)
-class FrequencyFit:
-    """Estimates in a band, SI and radians."""
+class FrequencyFit(Estimates):
+    """Estimates in a band, of the parameters that it shows; lines have one variance, or each its own (`corrected`)."""
 
     method: str  # equation error or output error
     band: tuple[float, float]  # lowest and highest frequency, Hz
     lines: int  # number of frequencies, of all manoeuvres together
-    names: tuple[str, ...]  # of the parameters that the band shows
-    units: tuple[str, ...]
-    estimate: Float[np.ndarray, " k"]
-    covariance: Float[np.ndarray, "k k"]  # of Cramer and Rao, for residuals of one variance at all lines
-    corrected: Float[np.ndarray, "k k"]  # with the variances of the lines themselves, and the squared bias
-    inner: Mapping[str, Float[np.ndarray, "k k"]]  # inner products of the sensitivities by output
+    inner: Mapping[str, OfPairs]  # inner products of the sensitivities by output
     R: Mapping[str, float]  # variance of the residuals by output; white noise has the same at the samples
     unseen: tuple[str, ...]  # free parameters that drop out with bias and drift
     converged: bool
     at_bound: tuple[str, ...] = ()  # parameters that the band would move beyond a bound, and that are held there
-    bias: Float[np.ndarray, " k"] | None = None  # by noise of the regressors, subtracted; None: not computed
+    bias: OfEach | None = None
     apart: Mapping[str, float] = field(default_factory=dict)  # from the time domain, in standard errors of that
-
-    @property
-    def crb(self) -> Float[np.ndarray, " k"]:
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def crb_corrected(self) -> Float[np.ndarray, " k"]:
-        return np.sqrt(np.diag(self.corrected))
 
 
 @dataclass(frozen=True)
@@ -350,15 +347,10 @@ class Posterior:
     status: PosteriorStatus
     seconds: float
 
-    def draws(self) -> Float[np.ndarray, "m k"]:
-        """All draws, shape (m, k): chains one after the other, columns as `names`."""
+    def draws(self, names: Sequence[str] | None = None) -> Float[np.ndarray, "m k"]:
+        """All draws, shape (m, k): chains one after the other, columns as these `names` (default: all)."""
         posterior = self.tree["posterior"].to_dataset()
-        return np.stack([np.asarray(posterior[name]).reshape(-1) for name in self.names], axis=1)
-
-    @property
-    def covariance(self) -> Float[np.ndarray, "k k"]:
-        """Posterior covariance of the parameters, shape (k, k)."""
-        return np.cov(self.draws().T)
+        return np.stack([np.asarray(posterior[name]).reshape(-1) for name in names or self.names], axis=1)
 
     def most_correlated(self, count: int) -> list[str]:
         """Names, in their order, of the `count` parameters whose largest correlation with another is largest."""
@@ -578,28 +570,19 @@ OfPoints = Float[AnyArray, " points"]  # its length is checked in words
 COLOURED_INNOVATIONS = 0.3  # correlation of neighbouring innovations beyond which something is not modelled; our choice
 
 
-class ScoreStatus(enum.Enum):
-    """Whether every score is defined; the value is the text for the user."""
-
-    ok = "All four scores are defined."
-    constant_measurement = "The measured channel does not vary: r and R2 are undefined; compare RMSE with the noise."
-    constant_prediction = "The prediction does not vary: r is undefined; look at RMSE and R2."
-
-
 @dataclass(frozen=True)
 class Scores:
     """Scores of one predicted channel against its measurement.
 
     `r` is Pearson's correlation, `rmse` has the unit of the channel, `theil` is Theil's
     inequality coefficient rms(z - y)/(rms z + rms y) (0 perfect, 1 worst), `r2` is 1 - SSE/SST. A score that
-    does not exist is NaN and `status` says which and why.
+    does not exist, because the measurement or the prediction does not vary, is NaN.
     """
 
     r: float
     rmse: float
     theil: float
     r2: float
-    status: ScoreStatus = ScoreStatus.ok
 
 
 class Calibration(enum.Enum):
@@ -647,13 +630,14 @@ class OneStep:
     @property
     def status(self) -> str:
         """`calibrated`, `not_calibrated`, or `undecided` where there are too few innovations to tell."""
-        found = {one.calibration for one in (*self.outputs.values(), self.together)}
-        if found == {Calibration.CALIBRATED}:
+        verdicts = {one.calibration for one in (*self.outputs.values(), self.together)}
+        if verdicts == {Calibration.CALIBRATED}:
             return "calibrated"
-        return "undecided" if found <= {Calibration.CALIBRATED, Calibration.UNDECIDED} else "not_calibrated"
+        return "undecided" if verdicts <= {Calibration.CALIBRATED, Calibration.UNDECIDED} else "not_calibrated"
 
 
-def _finite_pair(measured: Vector, predicted: OfPoints) -> tuple[np.ndarray, np.ndarray]:
+def score(measured: Vector, predicted: OfPoints) -> Scores:
+    """Scores of `predicted` (n,) against `measured` (n,), both in the unit of the channel."""
     z, y = np.asarray(measured, float), np.asarray(predicted, float)
     if z.ndim != 1 or z.shape != y.shape or z.size < 2:
         raise InputError(f"Measured {z.shape} and predicted {y.shape} must be vectors of one length >= 2.")
@@ -661,41 +645,22 @@ def _finite_pair(measured: Vector, predicted: OfPoints) -> tuple[np.ndarray, np.
         if not np.all(np.isfinite(x)):
             at = int(np.flatnonzero(~np.isfinite(x))[0])
             raise InputError(f"The {name} channel is not finite at sample {at}; remove or repair that sample.")
-    return z, y
-
-
-def score(measured: Vector, predicted: OfPoints) -> Scores:
-    """Scores of `predicted` (n,) against `measured` (n,), both in the unit of the channel."""
-    z, y = _finite_pair(measured, predicted)
-    residual = z - y
-    rmse, rms_z, rms_y = (float(np.sqrt(np.mean(np.square(x)))) for x in (residual, z, y))
-    size = rms_z + rms_y
-    theil = rmse / size if size > 0 else 0.0
+    rmse, rms_z, rms_y = (float(np.sqrt(np.mean(np.square(x)))) for x in (z - y, z, y))
+    theil = rmse / (rms_z + rms_y) if rms_z + rms_y > 0 else 0.0
     # A spread below the rounding of the values themselves is no spread.
-    z_varies = np.ptp(z) > 8 * np.finfo(float).eps * np.max(np.abs(z))
-    y_varies = np.ptp(y) > 8 * np.finfo(float).eps * np.max(np.abs(y))
-    r2 = 1.0 - float(np.sum(residual**2) / np.sum((z - z.mean()) ** 2)) if z_varies else float("nan")
+    z_varies, y_varies = (np.ptp(x) > 8 * np.finfo(float).eps * np.max(np.abs(x)) for x in (z, y))
+    r2 = 1.0 - float(np.sum((z - y) ** 2) / np.sum((z - z.mean()) ** 2)) if z_varies else float("nan")
     r = float(np.corrcoef(z, y)[0, 1]) if z_varies and y_varies else float("nan")
-    status = ScoreStatus.ok
-    if not z_varies:
-        status = ScoreStatus.constant_measurement
-    elif not y_varies:
-        status = ScoreStatus.constant_prediction
-    return Scores(r, rmse, theil, r2, status)
+    return Scores(r, rmse, theil, r2)
 
 
-def interval_coverage(
-    measured: Vector, draws: Draws, levels: tuple[float, ...] = (0.5, 0.9, 0.95)
-) -> dict[float, float]:
+def interval_coverage(measured: Vector, draws: Draws) -> dict[float, float]:
     """Share of `measured` (n,) inside the central intervals of predictive `draws` (draws, n), by level."""
     z, y = np.asarray(measured, float), np.asarray(draws, float)
-    if y.ndim != 2 or y.shape[1:] != z.shape or y.shape[0] < 2:
-        raise InputError(f"Draws {y.shape} must be (draws >= 2, {z.size}) to go with {z.size} measurements.")
-    _finite_pair(z, y[0])
-    if not all(0 < level < 1 for level in levels):
-        raise InputError(f"Interval levels {levels} must lie between 0 and 1, for instance 0.95.")
+    if y.shape[1:] != z.shape:
+        raise InputError(f"Draws {y.shape} must be (draws, {z.size}) to go with {z.size} measurements.")
     coverage = {}
-    for level in levels:
+    for level in (0.5, 0.9, 0.95):
         low, high = np.quantile(y, [(1 - level) / 2, (1 + level) / 2], axis=0)
         coverage[level] = float(np.mean((z >= low) & (z <= high)))
     return coverage

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import cache, partial
+from functools import cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -18,19 +18,31 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+import pandas as pd
+from jax.scipy.special import ndtr
+from jaxtyping import Array, Bool, Float
 from numpyro.infer.hmc import HMCState, hmc
-from numpyro.infer.hmc_util import dual_averaging
 from scipy import optimize
+from scipy.stats import binom, norm
 
-from bayes_aero.inference.results import Marginal, MleResult, Posterior, PosteriorStatus
-from bayes_aero.model.noise import Density, LogDensity
+from bayes_aero.inference.results import (
+    SENSITIVITY_LIMIT,
+    Histogram,
+    Identification,
+    Marginal,
+    MleResult,
+    PitResult,
+    Posterior,
+    PosteriorStatus,
+)
+from bayes_aero.model.observations import Colour, Density, LogDensity, Noise
 from bayes_aero.processes import cores
 from bayes_aero.progress import Progress
 
 PRIOR_DRAWS, MIN_DRAWS = 8, 2  # of the prior, from which other modes are sought
 MAX_SAMPLES_TIMES_DRAWS = 48_000  # fewer draws are used for longer records
 MIN_OTHER_SHARE = 0.01  # of the probability, from which other modes are reported
+ROUNDS_OF_CLIMBING = 12
 SAME_LOG_DENSITY = 0.05  # difference of log-densities below which two modes are one; searches stop no nearer
 MIN_RELATIVE_CURVATURE = 1e-8  # curvatures below this share of the largest count as this
 
@@ -68,50 +80,25 @@ def _value_and_gradient(density: LogDensity, u: Float[Array, " k"]):
     return jax.value_and_grad(type(density).__call__, argnums=1)(density, u)
 
 
-@dataclass
-class _Point:
-    """A point of a density, with the log-density and its gradient there."""
-
-    density: LogDensity
-    u: np.ndarray
-
-    def __post_init__(self) -> None:
-        value, slope = _value_and_gradient(self.density, jnp.asarray(self.u))
-        self.value, self.slope = float(value), np.asarray(slope)
-
-    @property
-    def usable(self) -> bool:
-        return bool(np.isfinite(self.value) and np.isfinite(self.slope).all())
-
-    def factor(self, step: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Lower Cholesky factor of |H|^-1 with the negative Hessian H; true if H is positive definite."""
-        # Away from the mode H may have negative eigenvalues. Their size is still the right scale of a step (saddle-free
-        # Newton), so absolute values are taken; a lower limit keeps flat directions finite.
-        rows = []  # central differences of the exact gradient
-        for move, size in zip(np.diag(step), step, strict=True):
-            forward, backward = (_Point(self.density, self.u + sign * move).slope for sign in (1.0, -1.0))
-            rows.append((backward - forward) / (2.0 * size))
-        H = (np.array(rows) + np.array(rows).T) / 2.0
-        finite = np.isfinite(H).all(axis=1)
-        if not finite.all():  # no density nearby in that direction: the largest curvature is taken
-            largest = np.abs(np.diag(H)[finite]).max(initial=1.0)
-            H = np.where(np.outer(finite, finite), H, np.diag(np.where(finite, 0.0, largest)))
-        curvature = np.abs(np.diag(H))
-        scale = np.sqrt(np.maximum(curvature, MIN_RELATIVE_CURVATURE**2 * curvature.max()))
-        eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-        floor = MIN_RELATIVE_CURVATURE * np.abs(eigenvalues).max()
-        covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
-        return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(finite.all() and eigenvalues[0] > floor)
-
-    def climb(self, factor: np.ndarray) -> _Point:
-
-        def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
-            at = _Point(self.density, self.u + factor @ v)
-            return (-at.value, -factor.T @ at.slope) if at.usable else (1e300, np.zeros(len(v)))
-
-        begin = np.zeros(len(self.u))
-        climbed = optimize.minimize(negative, begin, jac=True, method="L-BFGS-B", options={"maxiter": 200})
-        return _Point(self.density, self.u + factor @ climbed.x)
+def _curvature(density: LogDensity, u: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Lower Cholesky factor of |H|^-1 with the negative Hessian H at u; true if H is positive definite."""
+    # Away from the mode H may have negative eigenvalues. Their size is still the right scale of a step (saddle-free
+    # Newton), so absolute values are taken; a lower limit keeps flat directions finite.
+    rows = []  # central differences of the exact gradient
+    for move, size in zip(np.diag(step), step, strict=True):
+        ends = (_value_and_gradient(density, jnp.asarray(u + sign * move))[1] for sign in (-1.0, 1.0))
+        rows.append(np.subtract(*map(np.asarray, ends)) / (2.0 * size))
+    H = (np.array(rows) + np.array(rows).T) / 2.0
+    finite = np.isfinite(H).all(axis=1)
+    if not finite.all():  # no density nearby in that direction: the largest curvature is taken
+        largest = np.abs(np.diag(H)[finite]).max(initial=1.0)
+        H = np.where(np.outer(finite, finite), H, np.diag(np.where(finite, 0.0, largest)))
+    curvature = np.abs(np.diag(H))
+    scale = np.sqrt(np.maximum(curvature, MIN_RELATIVE_CURVATURE**2 * curvature.max()))
+    eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    floor = MIN_RELATIVE_CURVATURE * np.abs(eigenvalues).max()
+    covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
+    return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(finite.all() and eigenvalues[0] > floor)
 
 
 def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
@@ -142,28 +129,30 @@ def inside(value: float, bounds: tuple[float, float]) -> float:
     return float(np.clip(value, lower + margin, upper - margin))
 
 
-def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> PosteriorMode:
+def find_mode(density: LogDensity, start: Float[np.ndarray, " k"]) -> PosteriorMode:
     """Maximise the log-density from `start` (x, bounded scale, strictly inside its bounds)."""
-    # Each round computes the curvature and takes a Newton step if that increases the density, else steps of L-BFGS.
-    at = _Point(density, np.asarray(density.unconstrain(jnp.asarray(start, float))))
-    step = np.full(len(at.u), 1e-4)
-    for _ in range(rounds):
-        factor, positive_definite = at.factor(step)
+
+    def negative(v: np.ndarray, centre: np.ndarray, factor: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = map(np.asarray, _value_and_gradient(density, jnp.asarray(centre + factor @ v)))
+        usable = np.isfinite(value) and np.isfinite(slope).all()
+        return (-float(value), -factor.T @ slope) if usable else (1e300, np.zeros(len(v)))
+
+    u, still = np.asarray(density.unconstrain(jnp.asarray(start, float))), np.zeros(len(start))
+    step, options = np.full(len(u), 1e-4), {"maxiter": 200, "ftol": 1e-13}
+    factor, positive_definite, cost, gain = np.eye(len(u)), False, np.inf, np.inf
+    for _ in range(ROUNDS_OF_CLIMBING):  # L-BFGS, on the scale of the curvature where each round begins
+        factor, positive_definite = _curvature(density, u, step)
         step = np.minimum(1e-3 * np.sqrt(np.sum(factor**2, axis=1)), 1e-2)
-        move = factor @ (factor.T @ at.slope)
-        gain = 0.5 * float(at.slope @ move)
+        cost, slope = negative(still, u, factor)
+        gain = 0.5 * float(slope @ slope) if cost < 1e300 else np.inf  # that Newton's step promises
         if positive_definite and gain < 1e-7:
-            return PosteriorMode(at.u, factor, at.value, ModeStatus.CONVERGED)
-        trial = _Point(density, at.u + move)
-        if not (trial.usable and trial.value > at.value + 0.5 * gain):
-            trial = at.climb(factor)
-        if not (trial.usable and trial.value > at.value):
             break
-        at = trial
-    factor, positive_definite = at.factor(step)
-    near = 0.5 * float(at.slope @ factor @ (factor.T @ at.slope)) < 1e-3
-    status = ModeStatus.FLAT if not positive_definite else ModeStatus.CONVERGED if near else ModeStatus.NOT_CONVERGED
-    return PosteriorMode(at.u, factor, at.value, status)
+        climbed = optimize.minimize(negative, still, (u, factor), "L-BFGS-B", jac=True, options=options)
+        if not climbed.fun < cost:
+            break
+        u = u + factor @ climbed.x
+    near = ModeStatus.CONVERGED if gain < 1e-3 else ModeStatus.NOT_CONVERGED
+    return PosteriorMode(u, factor, -cost, near if positive_definite else ModeStatus.FLAT)
 
 
 def search_modes(
@@ -180,7 +169,7 @@ def search_modes(
         return max(modes, key=lambda mode: mode.log_density)
     distinct: list[PosteriorMode] = []
     for mode in sorted(positive_definite, key=lambda mode: -mode.log_mass):
-        if all(abs(mode.log_density - known.log_density) > SAME_LOG_DENSITY for known in distinct):
+        if all(abs(mode.log_density - other.log_density) > SAME_LOG_DENSITY for other in distinct):
             distinct.append(mode)
     mass = np.exp([mode.log_mass - distinct[0].log_mass for mode in distinct])
     difference = abs(modes[0].log_density - distinct[0].log_density)
@@ -214,35 +203,21 @@ def _log_density(density: LogDensity, u: Float[Array, " k"], factor: Float[Array
     return jax.vmap(lambda row: density(u + factor @ row))(v)
 
 
-class _IndependenceProposal:
-    """Metropolis-Hastings proposal from one multivariate Student t, the same for every walker."""
+def _independence_move(centre: np.ndarray, factor: np.ndarray) -> emcee.moves.MHMove:
+    """Metropolis-Hastings moves proposed from one multivariate Student t, the same for every walker."""
+    inverse = np.linalg.inv(factor)
 
-    def __init__(self, centre: np.ndarray, factor: np.ndarray) -> None:
-        self.centre, self.factor, self.inverse = centre, factor, np.linalg.inv(factor)
-
-    def _log_density(self, v: np.ndarray) -> np.ndarray:
-        squared = np.sum(((v - self.centre) @ self.inverse.T) ** 2, axis=1)
+    def log_density(v: np.ndarray) -> np.ndarray:
+        squared = np.sum(((v - centre) @ inverse.T) ** 2, axis=1)
         return -0.5 * (DEGREES_OF_FREEDOM + v.shape[1]) * np.log1p(squared / DEGREES_OF_FREEDOM)
 
-    def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+    def propose(coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         normal = random.standard_normal(coords.shape)
         spread = np.sqrt(DEGREES_OF_FREEDOM / random.chisquare(DEGREES_OF_FREEDOM, size=(len(coords), 1)))
-        proposed = self.centre + (normal * spread) @ self.factor.T
-        return proposed, self._log_density(coords) - self._log_density(proposed)
+        proposed = centre + (normal * spread) @ factor.T
+        return proposed, log_density(coords) - log_density(proposed)
 
-
-class _Target:
-    """The density as emcee calls it; non-finite values are counted, not hidden."""
-
-    def __init__(self, density: LogDensity, mode: PosteriorMode) -> None:
-        self.density, self.rejected = density, 0
-        self.frame = jnp.asarray(mode.u), jnp.asarray(mode.factor)
-
-    def __call__(self, v: np.ndarray) -> np.ndarray:
-        value = np.asarray(_log_density(self.density, *self.frame, jnp.asarray(v)))
-        bad = ~np.isfinite(value)
-        self.rejected += int(bad.sum())
-        return np.where(bad, -np.inf, value)
+    return emcee.moves.MHMove(propose)
 
 
 class EnsembleLength(NamedTuple):
@@ -253,14 +228,6 @@ class EnsembleLength(NamedTuple):
     walkers: int | None = None
 
 
-def _sampler(target: _Target, walkers: int, proposal: _IndependenceProposal, seed: int) -> emcee.EnsembleSampler:
-    moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
-    sampler = emcee.EnsembleSampler(walkers, target.density.size, target, moves=moves, vectorize=True)
-    random = np.random.RandomState(seed % 2**32)  # emcee takes this generator only
-    sampler.random_state = random.get_state()
-    return sampler
-
-
 def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:
     """Advance every ensemble by `steps`, one thread a core; the density runs outside Python's lock."""
     starts = [None] * len(samplers) if begin is None else list(begin)
@@ -268,45 +235,39 @@ def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarra
         list(pool.map(lambda sampler, start: sampler.run_mcmc(start, steps), samplers, starts))
 
 
-class _Ensembles:
+def _burnt_in(
+    density: LogDensity, mode: PosteriorMode, seed: int, length: EnsembleLength
+) -> list[emcee.EnsembleSampler]:
     """Independent ensembles after their burn-in and their first steps."""
+    size, walkers = density.size, length.walkers or 2 * (density.size + 2)
+    frame = jnp.asarray(mode.u), jnp.asarray(mode.factor)
 
-    def __init__(self, density: LogDensity, mode: PosteriorMode, seed: int, length: EnsembleLength) -> None:
-        self.target, self.walkers, size = _Target(density, mode), length.walkers or 2 * (density.size + 2), density.size
-        begin = np.random.default_rng(seed).standard_normal((length.ensembles, self.walkers, size)) * 0.5
-        proposal, before = _IndependenceProposal(np.zeros(size), np.eye(size)), 0.0
-        seeds = [1000 * seed + 10 * i for i in range(length.ensembles)]
-        for number in range(ROUNDS):  # a skewed posterior takes several to fit the proposal to the draws
-            self.samplers = [_sampler(self.target, self.walkers, proposal, s + number) for s in seeds]
-            _advance(self.samplers, BURN_IN, begin)
-            begin = np.stack([np.asarray(s.get_chain())[-1] for s in self.samplers])
-            found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in self.samplers])
-            accepted = float(np.mean([s.acceptance_fraction for s in self.samplers]))
-            proposal = _IndependenceProposal(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
-            if accepted < MIN_ACCEPTANCE_GAIN * before:
-                break
-            before = accepted
-        self.samplers = [_sampler(self.target, self.walkers, proposal, s + ROUNDS) for s in seeds]
-        _advance(self.samplers, STEPS_PER_CALL, begin)
+    def target(v: np.ndarray) -> np.ndarray:
+        value = np.asarray(_log_density(density, *frame, jnp.asarray(v)))
+        return np.where(np.isfinite(value), value, -np.inf)
 
-    @property
-    def autocorrelation_time(self) -> float:
-        """Of the slowest parameter in steps; infinite where it is not defined, as when a walker has never moved."""
-        chain = np.concatenate([np.asarray(s.get_chain()) for s in self.samplers], axis=1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            slowest = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
-        return slowest if np.isfinite(slowest) else np.inf
+    def sampler(centre: np.ndarray, factor: np.ndarray, own_seed: int) -> emcee.EnsembleSampler:
+        moves = [(_independence_move(centre, factor), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
+        made = emcee.EnsembleSampler(walkers, size, target, moves=moves, vectorize=True)
+        made.random_state = np.random.RandomState(own_seed % 2**32).get_state()  # emcee takes this generator only
+        return made
 
-    def draws(self, thin: int) -> tuple[Float[np.ndarray, "chain draw k"], dict[str, np.ndarray]]:
-        """One chain an ensemble, walkers end to end, so that R-hat compares ensembles; log-density and walker."""
-        chains = np.stack([np.asarray(s.get_chain(thin=thin)) for s in self.samplers])  # ensemble draw walker k
-        lp = np.stack([np.asarray(s.get_log_prob(thin=thin)).T for s in self.samplers])
-        ensembles, walkers, draws = lp.shape
-        stats = {
-            "lp": lp.reshape(ensembles, -1),
-            "walker": np.tile(np.repeat(np.arange(walkers), draws), (ensembles, 1)),
-        }
-        return np.swapaxes(chains, 1, 2).reshape(ensembles, -1, chains.shape[3]), stats
+    begin = np.random.default_rng(seed).standard_normal((length.ensembles, walkers, size)) * 0.5
+    proposal, before = (np.zeros(size), np.eye(size)), 0.0
+    seeds = [1000 * seed + 10 * i for i in range(length.ensembles)]
+    for number in range(ROUNDS):  # a skewed posterior takes several to fit the proposal to the draws
+        samplers = [sampler(*proposal, own_seed + number) for own_seed in seeds]
+        _advance(samplers, BURN_IN, begin)
+        begin = np.stack([np.asarray(s.get_chain())[-1] for s in samplers])
+        drawn = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in samplers])
+        accepted = float(np.mean([s.acceptance_fraction for s in samplers]))
+        proposal = drawn.mean(axis=0), np.linalg.cholesky(np.cov(drawn.T))
+        if accepted < MIN_ACCEPTANCE_GAIN * before:
+            break
+        before = accepted
+    samplers = [sampler(*proposal, own_seed + ROUNDS) for own_seed in seeds]
+    _advance(samplers, STEPS_PER_CALL, begin)
+    return samplers
 
 
 def sample_ensemble(
@@ -320,29 +281,29 @@ def sample_ensemble(
 ) -> Posterior:
     """Sample until ESS and R-hat reach their targets and the run spans many autocorrelation times."""
     began = time.perf_counter()
-    ensembles = _Ensembles(density, mode, seed, length)
+    samplers = _burnt_in(density, mode, seed, length)
     while True:
-        tau, steps = ensembles.autocorrelation_time, ensembles.samplers[0].iteration
+        steps, chain = samplers[0].iteration, np.concatenate([np.asarray(s.get_chain()) for s in samplers], axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):  # of the slowest parameter, in steps
+            tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
+        tau = tau if np.isfinite(tau) else np.inf  # as when a walker has never moved
         if progress:
             progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
         if steps >= AUTOCORRELATION_TIMES * tau or steps >= length.max_steps:
             thin = max(1, int(tau / 2)) if np.isfinite(tau) else 1  # draws closer than that are nearly equal
-            v, stats = ensembles.draws(thin)
-            x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v))))
+            # One chain an ensemble, walkers end to end, so that R-hat compares ensembles.
+            v = np.stack([np.swapaxes(np.asarray(s.get_chain(thin=thin)), 0, 1) for s in samplers])
+            x = mode.unwhiten(v.reshape(len(samplers), -1, density.size))
+            x = np.asarray(constrain_draws(density, jnp.asarray(x)))
             marginals = diagnose(x, density.names)
             if converged(marginals) or steps >= length.max_steps:
                 break
-        _advance(ensembles.samplers, STEPS_PER_CALL)
-    drawn = Drawn("emcee", x, stats, marginals)
+        _advance(samplers, STEPS_PER_CALL)
+    log_densities = np.stack([np.asarray(s.get_log_prob(thin=thin)).T.ravel() for s in samplers])
+    drawn = Drawn("emcee", x, {"lp": log_densities}, marginals)
     posterior = assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
-    posterior.tree.attrs |= {
-        "steps": steps,
-        "thinned_by": thin,
-        "autocorrelation_time": tau,
-        "acceptance": float(np.mean([s.acceptance_fraction.mean() for s in ensembles.samplers])),
-        "non_finite_densities": ensembles.target.rejected,
-        "walkers": ensembles.walkers,
-    }
+    acceptance = float(np.mean([s.acceptance_fraction.mean() for s in samplers]))
+    posterior.tree.attrs |= {"steps": steps, "autocorrelation_time": tau, "acceptance": acceptance}
     return posterior
 
 
@@ -398,18 +359,15 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
     # The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
     # thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
     # samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
-    names, draws = density.names, drawn.x
-    groups: dict[str, dict[str, np.ndarray]] = {"posterior": {name: draws[..., i] for i, name in enumerate(names)}}
-    if drawn.stats:
-        groups["sample_stats"] = dict(drawn.stats)
-    rng = np.random.default_rng(seed)
+    names, draws, rng = density.names, drawn.x, np.random.default_rng(seed)
     prior = density.sample_prior(rng, 1000)
+    groups: dict[str, Any] = {"posterior": {name: draws[..., i] for i, name in enumerate(names)}}
+    groups |= {"sample_stats": dict(drawn.stats)} if drawn.stats else {}
     groups["prior"] = {name: prior[None, :, i] for i, name in enumerate(names)}
     dims: dict[str, list[str]] = {}
     if predictive and isinstance(density, Density):
         (chains, length, size), outputs, n = draws.shape, density.model.coefficients, density.observations.n
-        most = PREDICTIVE_VALUES // (len(outputs) * chains * n)
-        kept = min(PREDICTIVE_DRAWS, length, max(2, most))
+        kept = min(PREDICTIVE_DRAWS, length, max(2, PREDICTIVE_VALUES // (len(outputs) * chains * n)))
         thin = np.linspace(0, length - 1, kept).astype(int)
         white = jnp.asarray(rng.standard_normal((chains * kept, n, len(outputs))))
         loglik, replicated = _predictive(density, jnp.asarray(draws[:, thin].reshape(-1, size)), white)
@@ -419,18 +377,17 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
             leading = (1, chains * kept) if group == "prior_predictive" else (chains, kept)
             array = np.asarray(values, np.float32).reshape(*leading, n, len(outputs))
             groups[group] = {name: array[..., i] for i, name in enumerate(outputs)}
-        measured = np.asarray(density.observations.measured)
-        groups["observed_data"] = {name: measured[:, i] for i, name in enumerate(outputs)}
+        groups["observed_data"] = dict(zip(outputs, np.asarray(density.observations.measured).T, strict=True))
         dims = {name: ["instant"] for name in outputs}
     tree = azb.from_dict(groups, dims=dims)
-    tree.attrs |= {"engine": drawn.engine, "noise": density.label_of, "seed": seed}
+    tree.attrs |= {"engine": drawn.engine, "noise": density.noise_label, "seed": seed}
     for parameter in density.parameters:
         for group in ("posterior", "prior"):
             tree[group][parameter.name].attrs["units"] = parameter.unit
     marginals = drawn.marginals or diagnose(draws, names)
-    status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
-    status = PosteriorStatus.DIVERGENT if drawn.divergent else status
-    return Posterior(drawn.engine, density.label_of, names, tree, marginals, status, seconds)
+    reached = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
+    status = PosteriorStatus.DIVERGENT if drawn.divergent else reached
+    return Posterior(drawn.engine, density.noise_label, names, tree, marginals, status, seconds)
 
 
 # --- The posterior by NumPyro's NUTS: the independent check on the one density.
@@ -438,82 +395,48 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
 CALL_DRAWS = 100  # draws of one compiled call; warm-up and blocks are rounded up to a multiple
 BLOCK_DRAWS = 300  # draws per chain between two checks of the diagnostics
 DIVERGENT_SHARE = 0.005
-FIRST_STEP = 0.5  # on the scale of the curvature at the mode, where no metric is adapted
 FIELDS = ("diverging", "num_steps", "accept_prob", "potential_energy")
-
-
-class WarmUp(NamedTuple):
-    """Steps; acceptance to which the step size is adapted; whether a dense metric is adapted, too."""
-
-    # A metric of few steps is worse than the curvature at the mode, on whose scale the chains begin: the covariance of
-    # 75 draws of 26 independent normal coordinates has deviations of 0.4 to 1.6. Without a metric the step size is
-    # adapted here, because NumPyro takes it from the last tenth of a short warm-up, which it begins with ten times the
-    # step.
-    steps: int = 500
-    acceptance: float = 0.95
-    metric: bool = True
-
-
-class Chain(NamedTuple):
-    """State of NumPyro's kernel, and of the dual averaging of the step size (of Hoffman and Gelman 2014)."""
-
-    kernel: HMCState
-    averaged: tuple[Any, ...]
-
-    def with_step(self, size: Array) -> Chain:
-        return self._replace(kernel=self.kernel._replace(adapt_state=self.kernel.adapt_state._replace(step_size=size)))
-
-
-@cache
-def _kernel(warmup: WarmUp):
-    """NumPyro's functional NUTS, with the data as arguments: MCMC would compile again for every data set and chain."""
-    # One for each warm-up, which the kernel stores when it starts.
-    del warmup
-    potential = lambda density, centre, factor: lambda v: -density(centre + factor @ v)  # noqa: E731
-    return hmc(potential_fn_gen=potential, algo="NUTS")
-
-
 Target = tuple[LogDensity, Array, Array]
 """A density, with the centre and the factor of its whitened coordinates."""
 
 
-@eqx.filter_jit
-def _start_chain(target: Target, warmup: WarmUp, key: Array, v: Float[Array, " k"]) -> Chain:
-    begin, _ = _kernel(warmup)
-    key, _ = jax.random.split(key)  # as numpyro's NUTS does: the same draws
-    setting: Any = {"target_accept_prob": warmup.acceptance, "model_args": target, "rng_key": key}
-    if warmup.metric:
-        setting |= {"dense_mass": True}
-    else:
-        setting |= {"adapt_step_size": False, "adapt_mass_matrix": False, "step_size": FIRST_STEP}
-    first: Any = dual_averaging()[0]
-    return Chain(begin(v, warmup.steps, **setting), first(jnp.log(FIRST_STEP)))
-
-
-@eqx.filter_jit
-def _draw_steps(
-    target: Target, warmup: WarmUp, adapting: Array, chain: Chain
-) -> tuple[Chain, tuple[Array, dict[str, Array]]]:
-    _, sample = _kernel(warmup)
-    _, update = dual_averaging()
-
-    def step(chain: Chain, _: None):
-        state = sample(chain.kernel, target)  # adapts a metric for as long as state.i is below the steps of `warmup`
-        drawn = state.z, {name: getattr(state, name) for name in FIELDS}
-        if warmup.metric:
-            return chain._replace(kernel=state), drawn
-        chain = Chain(state, update(warmup.acceptance - state.accept_prob, chain.averaged))
-        return chain.with_step(jnp.where(adapting, jnp.exp(chain.averaged[0]), state.adapt_state.step_size)), drawn
-
-    return jax.lax.scan(step, chain, None, length=CALL_DRAWS)
-
-
 class NutsLength(NamedTuple):
-    """Chains, their warm-up, and the most blocks of draws that follow it."""
+    """Chains, steps of their warm-up, the most blocks of draws that follow it; the acceptance to which the step size is
+    adapted, and whether a dense metric is adapted, too."""
 
+    # A metric of few steps is worse than the curvature at the mode, on whose scale the chains begin: the covariance of
+    # 75 draws of 26 independent normal coordinates has deviations of 0.4 to 1.6.
     chains: int = 4
-    warmup: WarmUp = WarmUp()
+    warmup: int = 500
     max_blocks: int = 8
+    acceptance: float = 0.95
+    metric: bool = True
+
+
+@cache
+def _kernel(length: NutsLength):
+    """NumPyro's functional NUTS, with the data as arguments: MCMC would compile again for every data set and chain."""
+    # One for each length of the warm-up, which the kernel stores when it starts.
+    del length
+    potential = lambda density, centre, factor: lambda v: -density(centre + factor @ v)  # noqa: E731
+    return hmc(potential_fn_gen=potential, algo="NUTS")
+
+
+@eqx.filter_jit
+def _start_chain(target: Target, length: NutsLength, key: Array, v: Float[Array, " k"]) -> HMCState:
+    key, _ = jax.random.split(key)  # as numpyro's NUTS does: the same draws
+    adapted: Any = {"dense_mass": length.metric, "adapt_mass_matrix": length.metric}
+    adapted |= {"target_accept_prob": length.acceptance, "model_args": target, "rng_key": key}
+    return _kernel(length)[0](v, length.warmup, **adapted)
+
+
+@eqx.filter_jit
+def _draw_steps(target: Target, length: NutsLength, state: HMCState):
+    def step(state: HMCState, _: None):
+        state = _kernel(length)[1](state, target)  # adapts for as long as state.i is below the warm-up
+        return state, (state.z, {name: getattr(state, name) for name in FIELDS})
+
+    return jax.lax.scan(step, state, None, length=CALL_DRAWS)
 
 
 def sample_nuts(
@@ -528,12 +451,29 @@ def sample_nuts(
     """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them."""
     # Works on coordinates whitened by the curvature at the mode; starts are drawn from that Laplace approximation, each
     # chain its own, so that R-hat can see a second mode nearby. `progress(text, share)` is called after every block.
-    began = time.perf_counter()
-    chains = _Chains(density, mode, length, seed)
-    most = length.max_blocks * BLOCK_DRAWS
+    began, target = time.perf_counter(), (density, jnp.asarray(mode.u), jnp.asarray(mode.factor))
+    start_key, run_key = jax.random.split(jax.random.PRNGKey(seed))
+    starts = jax.random.normal(start_key, (length.chains, density.size))
+    keys = jax.random.split(run_key, length.chains)
+    chains = [_start_chain(target, length, key, v) for key, v in zip(keys, starts, strict=True)]
+
+    def advanced(some: list[HMCState]) -> list[Any]:
+        with ThreadPoolExecutor(max(1, min(len(some), cores()))) as pool:
+            return list(pool.map(lambda chain: jax.block_until_ready(_draw_steps(target, length, chain)), some))
+
+    for number in range(-(-length.warmup // CALL_DRAWS)):  # the first chain starts alone and compiles
+        parts = [chains] if number else [chains[:1], chains[1:]]
+        chains = [chain for part in parts for chain, _ in advanced(part)]
+    draws, fields, most = [], [], length.max_blocks * BLOCK_DRAWS
     while True:
-        chains.draw(BLOCK_DRAWS)
-        x = np.concatenate(chains.x, axis=1)
+        for _ in range(BLOCK_DRAWS // CALL_DRAWS):
+            ends = advanced(chains)
+            chains = [chain for chain, _ in ends]
+            v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
+            draws.append(np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v)))))
+            ends = [of_chain for _, (_, of_chain) in ends]
+            fields.append({name: np.stack([np.asarray(of_chain[name]) for of_chain in ends]) for name in FIELDS})
+        x = np.concatenate(draws, axis=1)
         marginals = diagnose(x, density.names)
         done = converged(marginals) or x.shape[1] >= most
         if progress:
@@ -541,44 +481,104 @@ def sample_nuts(
             progress(f"NUTS: {x.shape[1]} draws a chain, ESS {least:.0f}", 1.0 if done else x.shape[1] / most)
         if done:
             break
-    stats = {
-        name: np.concatenate([f[field] for f in chains.statistics], axis=1)
-        for name, field in zip(("diverging", "n_steps", "acceptance_rate", "lp"), FIELDS, strict=True)
-    }
+    by_field = {name: np.concatenate([part[name] for part in fields], axis=1) for name in FIELDS}
+    stats: dict[str, np.ndarray] = dict(zip(("diverging", "n_steps", "acceptance_rate", "lp"), by_field.values(), strict=True))
     stats["lp"] = -stats["lp"]
     divergent = float(stats["diverging"].mean()) > DIVERGENT_SHARE
     drawn = Drawn("nuts", x, stats, marginals, divergent)
     return assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
 
 
-class _Chains:
-    """Chains after their warm-up, with draws `x` and the statistics of NUTS."""
+# --- Whether a posterior predicts what was measured (PIT).
+# Under a correct model the values are uniform. Each sample is predicted one step ahead, given those before it in its
+# manoeuvre; under white noise they carry no information, and the values are those of the predictive distribution.
+# Sources: Dawid 1984, J. R. Stat. Soc. A 147, 278; Diebold, Gunther and Tay 1998, Int. Econ. Rev. 39, 863.
 
-    def __init__(self, density: LogDensity, mode: PosteriorMode, length: NutsLength, seed: int) -> None:
-        self.density, self.mode, self.warmup = density, mode, length.warmup
-        self.x: list[np.ndarray] = []
-        self.statistics: list[dict[str, np.ndarray]] = []
-        self.target = density, jnp.asarray(mode.u), jnp.asarray(mode.factor)
-        start_key, run_key = jax.random.split(jax.random.PRNGKey(seed))
-        starts = jax.random.normal(start_key, (length.chains, density.size))
-        keys = jax.random.split(run_key, length.chains)
-        self.chains = [_start_chain(self.target, self.warmup, key, v) for key, v in zip(keys, starts, strict=True)]
-        for number in range(-(-self.warmup.steps // CALL_DRAWS)):  # the first chain starts alone and compiles
-            parts = [self.chains] if number else [self.chains[:1], self.chains[1:]]
-            self.chains = [chain for part in parts for chain, _ in self._advance(part, adapting=True)]
-        if not self.warmup.metric:
-            self.chains = [chain.with_step(jnp.exp(chain.averaged[1])) for chain in self.chains]
+PIT_DRAWS = 200  # of the posterior: the probability of a sample hardly varies between them; our choice
+MAX_BINS, MIN_PER_BIN = 20, 20
+BAND = 0.95  # that all bars of uniform values lie inside
 
-    def draw(self, steps: int) -> None:
-        for _ in range(steps // CALL_DRAWS):
-            ends = self._advance(self.chains, adapting=False)
-            self.chains = [chain for chain, _ in ends]
-            v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
-            self.x.append(np.asarray(constrain_draws(self.density, jnp.asarray(self.mode.unwhiten(v)))))
-            every = [statistics for _, (_, statistics) in ends]
-            self.statistics.append({name: np.stack([np.asarray(one[name]) for one in every]) for name in FIELDS})
 
-    def _advance(self, chains: list[Chain], *, adapting: bool) -> list[tuple[Chain, tuple[Array, dict[str, Array]]]]:
-        with ThreadPoolExecutor(max(1, min(len(chains), cores()))) as pool:
-            step = partial(_draw_steps, self.target, self.warmup, jnp.asarray(adapting))
-            return list(pool.map(lambda chain: jax.block_until_ready(step(chain)), chains))
+def pit_of(run: Identification) -> PitResult | None:
+    """The transform of a run's samples by its first posterior under the chosen noise; None without a posterior."""
+    engine = next((key for key in run.posteriors if key != "white"), None)
+    if engine is None:
+        return None
+    posterior = run.posteriors[engine]
+    density = Density.of(run.observations, run.model, Noise(Colour(posterior.noise)), run.mle.bias)
+    values = pit(density, posterior.draws(density.names))
+    columns, start = [values[:, c] for c in range(values.shape[1])], np.asarray(density.observations.start)
+    bars, correlation = tuple(map(histogram, columns)), tuple(neighbours(column, start) for column in columns)
+    return PitResult(engine, values, bars, correlation)
+
+
+@eqx.filter_jit
+def _mean_probability(density: Density, x: Float[Array, "m k"]) -> Float[Array, "n c"]:
+    # Noise is normal given the parameters, so each draw's probability is exact and their mean has no steps of 1/m.
+    add = lambda total, row: (total + ndtr(density.standardised(row)), None)  # noqa: E731
+    return jax.lax.scan(add, jnp.zeros_like(density.observations.measured), x)[0] / len(x)
+
+
+def pit(density: Density, x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n c"]:
+    """Posterior probability of less than what was measured, from draws `x` as rows; by sample and coefficient."""
+    kept = x[np.linspace(0, len(x) - 1, min(len(x), PIT_DRAWS)).astype(int)]
+    return np.asarray(_mean_probability(density, jnp.asarray(kept)))
+
+
+def histogram(values: Float[np.ndarray, " n"]) -> Histogram:
+    """Bars of `values`, with a band by Bonferroni: exact for one bar, a little wide for all together."""
+    n = len(values)
+    bins = int(np.clip(n // MIN_PER_BIN, 2, MAX_BINS))
+    count, edges = np.histogram(values, bins=bins, range=(0.0, 1.0))
+    tail = 0.5 * (1.0 - BAND) / bins
+    lower, upper = binom.ppf([tail, 1.0 - tail], n, 1.0 / bins)
+    return Histogram(edges, count * bins / n, float(lower * bins / n), float(upper * bins / n))
+
+
+def neighbours(values: Float[np.ndarray, " n"], start: Bool[np.ndarray, " n"]) -> float:
+    """Correlation of neighbouring values within manoeuvres, on the normal scale; 0 if they are independent."""
+    z = norm.ppf(np.clip(values, 1e-12, 1.0 - 1e-12))
+    inside = ~np.asarray(start, bool)[1:]
+    return float(np.corrcoef(z[1:][inside], z[:-1][inside])[0, 1])
+
+
+# --- Sensitivity of a posterior to its priors: power-scaling of prior and likelihood.
+# Source: Kallioinen, Paananen, Burkner and Vehtari 2024, Stat. Comput. 34, 57; `psense` of ArviZ, by Pareto-smoothed
+# importance weights, without sampling again.
+
+PRIOR_SENSITIVITY_DRAWS = 4000
+
+
+class Dependence(Enum):
+    """Whether the data or the prior decide a parameter; the value is the text for the user."""
+
+    DATA = "the data decide"
+    BOTH = "prior and data conflict, or the prior is informative compared with the data"
+    PRIOR = "the prior decides; the record contains little information on this parameter"
+    NEITHER = "neither changes it: check its chains"
+
+
+def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame:
+    """A row per parameter: sensitivity to the prior, to the likelihood, and the conclusion (`Dependence`)."""
+    # All priors are scaled together. `posterior` is one of `density`. The Monte Carlo error of the sensitivities is
+    # about 0.01 for some thousand draws.
+    tree = posterior.tree["posterior"].to_dataset()
+    step = max(1, tree.sizes["chain"] * tree.sizes["draw"] // PRIOR_SENSITIVITY_DRAWS)
+    draws = {name: np.asarray(tree[name])[:, ::step] for name in density.names}
+    terms = _prior_and_likelihood(density, jnp.asarray(np.stack(list(draws.values()), axis=-1)))
+    groups: dict[str, Any] = {"posterior": draws}
+    groups |= {f"log_{part}": {"all": np.asarray(x)} for part, x in zip(("prior", "likelihood"), terms, strict=True)}
+    both = azb.from_dict(groups)
+    sensitivity = {part: azs.psense(both, group=part) for part in ("prior", "likelihood")}
+    rows = {name: {part: float(sensitivity[part][name]) for part in sensitivity} for name in density.names}
+    table = pd.DataFrame.from_dict(rows, orient="index")
+    by = {(False, True): Dependence.DATA, (True, True): Dependence.BOTH, (True, False): Dependence.PRIOR}
+    decided = (tuple(row >= SENSITIVITY_LIMIT) for row in table.to_numpy())
+    table["says"] = [by.get(row, Dependence.NEITHER).value for row in decided]
+    return table
+
+
+@eqx.filter_jit
+def _prior_and_likelihood(density: LogDensity, x: Float[Array, "chain draw k"]) -> tuple[Array, Array]:
+    terms = lambda row: (density.log_prior(row), density.log_likelihood(row))  # noqa: E731
+    return jax.lax.map(lambda chain: jax.lax.map(terms, chain), x)

@@ -16,25 +16,32 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import rate_notes
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency import coefficients_in_band
-from bayes_aero.inference.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle, without_noise_bias
+from bayes_aero.inference.gp import Training, validate
+from bayes_aero.inference.mle import (
+    MAX_SEPARATE_FITS,
+    filter_mismatch_notes,
+    fit_each_manoeuvre,
+    fit_mle,
+    stall_of_run,
+    without_noise_bias,
+)
 from bayes_aero.inference.pooled import check_manoeuvres, next_flight
 from bayes_aero.inference.results import Identification, NextFlight, Posterior
-from bayes_aero.inference.sampling import density_start, other_modes, sample_ensemble, sample_nuts, search_modes
-from bayes_aero.inference.validation import (
-    Training,
-    filter_mismatch_notes,
+from bayes_aero.inference.sampling import (
+    density_start,
+    other_modes,
     pit_of,
     prior_sensitivity,
-    stall_of_run,
-    validate,
+    sample_ensemble,
+    sample_nuts,
+    search_modes,
 )
 from bayes_aero.jobs.check import record_checks, repaired
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.results import identified, put_histories, results, save_gp, write_identification
 from bayes_aero.jobs.store import Growing, provenance, remove_older, writable, write_json
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Density, Noise
-from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.model.observations import Colour, Density, Noise, despiked, join, observe
 from bayes_aero.model.records import Forming, on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress

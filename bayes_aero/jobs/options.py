@@ -16,9 +16,9 @@ from typing import Any, ClassVar, Literal, TypeVar, get_args, get_type_hints
 
 from bayes_aero.errors import InputError
 
-NoiseName = Literal["white", "ar1", "buffet-ar1"]  # `model.noise.Colour`
+NoiseName = Literal["white", "ar1", "buffet-ar1"]  # `model.observations.Colour`
 FormingName = Literal["matched", "published"]  # `model.observations.Forming`
-SplitName = Literal["random", "block", "manoeuvre"]  # `inference.validation.SplitKind`
+SplitName = Literal["random", "block", "manoeuvre"]  # `inference.gp.SplitKind`
 InitialStateName = Literal["free", "fixed"]
 InputsName = Literal["linear", "held"]
 ExportForm = Literal["jsbsim", "fmu", "tables"]

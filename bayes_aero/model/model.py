@@ -80,7 +80,11 @@ class Model:
                     remedy = f"; add {owners} to the effects" if owners else ""
                     raise InputError(f"effect {effect.name} uses {name}, which no effect of the model owns{remedy}")
             if not effect.acts_on(axes):
-                raise InputError(no_such_axis(effect, axes))
+                raise InputError(
+                    f"effect {effect.name} acts on {', '.join(effect.example.increments)} of the "
+                    f"{' and '.join(effect.axes)} axis, which the model lacks; remove it, or add "
+                    f'"{effect.axes[0]}" to the axes ({", ".join(axes)})'
+                )
         for name in fixed or {}:
             if name not in names:
                 raise InputError(f"the fixed parameter {name} belongs to no effect of the model")
@@ -147,8 +151,8 @@ class Model:
     def acting(self) -> tuple[Effect, ...]:
         """Effects on the model's axes that are not fixed at neutral; those need not be computed."""
         fixed = dict(self.fixed)
-        own = (e for e in self.effects if e.acts_on(self.axes))
-        return tuple(e for e in own if not (e.parameters and e.absent_in(fixed)))
+        on_axes = (e for e in self.effects if e.acts_on(self.axes))
+        return tuple(e for e in on_axes if not (e.parameters and e.absent_in(fixed)))
 
     def with_role(self, role: Role) -> tuple[str, ...]:
         """Names of the parameters with a role, of effects that act."""
@@ -230,30 +234,30 @@ class Model:
         # `X` is given where it is a state of a simulation, and replaces the stages that compute it. With two wings it
         # has the values of the right and the left wing, or is their mean; their difference is then the static one.
         if X is None:
-            known = self._separated((Stage.SEPARATION, Stage.LAG), values, signals, aircraft)
+            flow = self._separated((Stage.SEPARATION, Stage.LAG), values, signals, aircraft)
         elif isinstance(X, tuple):
-            known = self._neutral(signals) | {"X": (X[0] + X[1]) / 2.0, "X_difference": X[0] - X[1]}
+            flow = self._neutral(signals) | {"X": (X[0] + X[1]) / 2.0, "X_difference": X[0] - X[1]}
         elif not self.two_wings:
-            known = self._neutral(signals) | {"X": X}
+            flow = self._neutral(signals) | {"X": X}
         else:
-            known = self._separated((Stage.SEPARATION,), values, signals, aircraft) | {"X": X}
-        known = self._run((Stage.ATTACHED,), known, values, signals, aircraft)
-        known["CL"] = known["CL"] + known["CL_attached"]
-        return self._run((Stage.TOTAL,), known, values, signals, aircraft)
+            flow = self._separated((Stage.SEPARATION,), values, signals, aircraft) | {"X": X}
+        flow = self._run((Stage.ATTACHED,), flow, values, signals, aircraft)
+        flow["CL"] = flow["CL"] + flow["CL_attached"]
+        return self._run((Stage.TOTAL,), flow, values, signals, aircraft)
 
     def _separated(
         self, stages: tuple[Stage, ...], values: Mapping[str, Any], signals: Signals, aircraft: Aircraft
     ) -> dict[str, Any]:
         """The flow after these stages of separation; with two wings X is the mean of both at their own incidence."""
-        known = self._run((Stage.INCIDENCE,), self._neutral(signals), values, signals, aircraft)
+        flow = self._run((Stage.INCIDENCE,), self._neutral(signals), values, signals, aircraft)
         if not self.two_wings:
-            return self._run(stages, known, values, signals, aircraft)
-        half = known["incidence_difference"] / 2.0
+            return self._run(stages, flow, values, signals, aircraft)
+        half = flow["incidence_difference"] / 2.0
         right, left = (
-            self._run(stages, known | {"incidence": known["incidence"] + side}, values, signals, aircraft)["X"]
+            self._run(stages, flow | {"incidence": flow["incidence"] + side}, values, signals, aircraft)["X"]
             for side in (half, -half)
         )
-        return known | {"X": (right + left) / 2.0, "X_difference": right - left}
+        return flow | {"X": (right + left) / 2.0, "X_difference": right - left}
 
     def _neutral(self, signals: Signals) -> dict[str, Any]:
         zeros = xp.zeros_like(signals["alpha"])
@@ -298,15 +302,6 @@ def lengths_of(a: Aircraft) -> Lengths:
     return Lengths(rate, lateral_rate, moment, span if math.isfinite(span) else 1.0)
 
 
-def no_such_axis(effect: Effect, axes: tuple[Axis, ...]) -> str:
-    """The sentence on an effect that adds to none of the coefficients of a model of `axes`."""
-    added = ", ".join(effect.example.increments)
-    return (
-        f"effect {effect.name} acts on {added} of the {' and '.join(effect.axes)} axis, which the model lacks; "
-        f'remove it, or add "{effect.axes[0]}" to the axes ({", ".join(axes)})'
-    )
-
-
 def effect_named(name: str, among: Mapping[str, Effect] = CATALOGUE) -> Effect:
     """An effect of the catalogue by name; `InputError` with a similar name where there is none."""
     if name in among:
@@ -342,11 +337,9 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
         try:
             if not path.is_file():
                 raise FileNotFoundError("there is no such file")
-            with path.open("rb") as handle:
-                raw = handle.read(MAX_BYTES + 1)
-            if len(raw) > MAX_BYTES:
+            if path.stat().st_size > MAX_BYTES:
                 raise ValueError(f"it has more than {MAX_BYTES} bytes")
-            text = raw.decode("utf-8")
+            text = path.read_text(encoding="utf-8")
         except (OSError, ValueError) as error:
             raise InputError(f"effect file {path} cannot be read ({error}); mend the path on the card") from None
         for effect in _run(path, text):

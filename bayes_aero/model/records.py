@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.ndimage import median_filter, rank_filter, uniform_filter1d
 
-from bayes_aero.arrays import AnyArray
+from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.effect import MARKS
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -142,7 +142,9 @@ def joined(
     ends in its name with a `remedy`."""
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
-    named_apart(records)
+    names = [record.name for record in records]
+    if len(set(names)) < len(names):
+        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
     parts, offset = [], 0
     for record in records:
         have = with_sums(record, card)
@@ -158,17 +160,9 @@ def joined(
         manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
         time=np.concatenate([np.asarray(record.time) for record in records]),
         lengths=tuple(record.n for record in records),
-        names=tuple(record.name for record in records),
+        names=tuple(names),
         held=card.fly.held,
     )
-
-
-def named_apart(records: Sequence[FlightRecord]) -> list[str]:
-    """The records' names; raises `InputError` where two are the same."""
-    names = [record.name for record in records]
-    if len(set(names)) < len(names):
-        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
-    return names
 
 
 MACH_VARIES, MACH_OFF = 0.005, 0.02  # of airspeed over Mach number: slow to fast flight; from the speed of sound
@@ -176,8 +170,8 @@ MACH_VARIES, MACH_OFF = 0.005, 0.02  # of airspeed over Mach number: slow to fas
 
 def marks_of(record: FlightRecord, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
     """Marks for effects of stage CHANNEL of a recorded manoeuvre, the first sample at index `first`."""
-    marks = plain_marks(record.n, record.dt, first)
-    return marks | {"mach_follows": marks["mach_follows"] * (0.0 if own_mach(record) else 1.0)}
+    follows = np.full(record.n, 0.0 if own_mach(record) else 1.0)
+    return plain_marks(record.n, record.dt, first) | {"mach_follows": follows}
 
 
 def own_mach(record: FlightRecord) -> bool:
@@ -185,9 +179,8 @@ def own_mach(record: FlightRecord) -> bool:
     if not all(record.has(name) for name in ("mach", "airspeed")):
         return False
     # Then V / M is no speed of sound: it varies with the airspeed, or is not that of the temperature.
-    V, M = record["airspeed"], record["mach"]
+    V, M, sound = record["airspeed"], record["mach"], np.ones(record.n)
     measured = record.has("static_temperature") and bool(np.all(record["static_temperature"] > 0.0))
-    sound = np.ones(record.n)
     if measured:
         sound = np.sqrt(GAMMA * GAS * record["static_temperature"])
     elif record.has("altitude"):
@@ -213,10 +206,11 @@ def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, "
     }
 
 
-def repaired(flights: Flights) -> tuple[Flights, dict[str, int]]:
+def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
     """The manoeuvres without spikes, and the number of replaced samples by channel; see `without_spikes`."""
-    channels, count = without_spikes(flights.channels, flights.lengths)
-    return replace(flights, channels=channels), count
+    mended, count = without_spikes(flights.channels, flights.lengths)
+    mended = {name: namespace(flights.channels[name]).asarray(x) for name, x in mended.items()}
+    return replace(flights, channels=flights.channels | mended), count
 
 
 MIN_WINDOW_SHARE = 0.5  # of a window: a shorter remainder at the end of a manoeuvre joins the window before it
@@ -246,22 +240,22 @@ SMALL_STEP = 0.1  # of the large steps
 def without_spikes(
     channels: Mapping[str, AnyArray], lengths: Sequence[int]
 ) -> tuple[dict[str, Shaped[np.ndarray, " n"]], dict[str, int]]:
-    """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel."""
+    """Channels with isolated spikes, replaced by the median of their neighbours; the count of replaced samples."""
     # A sample is a spike if it differs from the median of five by more than `SPIKE_FACTOR` local standard deviations
     # and by more than `STEP_FACTOR` typical steps of the channel. Steps, buffet and the sharp peaks of a doublet are
     # kept: the median follows a step, the local deviation grows with buffet, and a peak differs from the median by no
     # more than the channel changes in a sample. A few steps of a quantised channel are no spike. The `END_SAMPLES` at
     # either end are not repaired, because smoothing does not reach them and their neighbours are on one side. Source:
     # Hampel's identifier.
-    repaired_channels, count = {name: np.asarray(x) for name, x in channels.items()}, {}
-    for name in (name for name in SPIKED if name in repaired_channels):
-        parts = np.split(repaired_channels[name], np.cumsum(lengths)[:-1])
+    mended, count = {}, {}
+    for name in (name for name in SPIKED if name in channels):
+        parts = np.split(np.asarray(channels[name]), np.cumsum(lengths)[:-1])
         medians = [median_filter(part, 5, mode="nearest") for part in parts]
         spikes = list(map(_spikes, parts, medians))
         if any(at.any() for at in spikes):
-            mended = list(map(np.where, spikes, medians, parts))
-            repaired_channels[name], count[name] = np.concatenate(mended), int(sum(at.sum() for at in spikes))
-    return repaired_channels, count
+            mended[name] = np.concatenate(list(map(np.where, spikes, medians, parts)))
+            count[name] = int(sum(at.sum() for at in spikes))
+    return mended, count
 
 
 def _spikes(part: Float[np.ndarray, " n"], median: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -285,12 +279,12 @@ def _spikes(part: Float[np.ndarray, " n"], median: Float[np.ndarray, " n"]) -> B
 
 def despiked_records(records: Sequence[FlightRecord]) -> tuple[list[FlightRecord], dict[str, int]]:
     """The records without spikes, and the number of replaced samples by channel; see `without_spikes`."""
-    repaired_channels, count = [], {}
+    repaired, count = [], {}
     for record in records:
-        channels, spikes = without_spikes(record.channels, (record.n,))
+        mended, spikes = without_spikes(record.channels, (record.n,))
         count |= {name: count.get(name, 0) + replaced for name, replaced in spikes.items()}
-        repaired_channels.append(replace(record, channels=channels))
-    return repaired_channels, count
+        repaired.append(replace(record, channels={**record.channels, **mended}))
+    return repaired, count
 
 
 # --- Removal of an axis from a card where records lack its channels.
@@ -315,9 +309,9 @@ def on_recorded_axes(
     lacking: dict[Axis, tuple[str, list[str]]] = {}  # the first record that lacks channels of an axis, and these
     for axis in card.axes:
         channels = (channel for effect in every if effect.axes == (axis,) for channel in effect.channels)
-        asked = dict.fromkeys((*needed[axis], *channels))
+        required = dict.fromkeys((*needed[axis], *channels))
         for name, have in present:
-            if lacks := [need for need in asked if need not in have and need not in made]:
+            if lacks := [need for need in required if need not in have and need not in made]:
                 lacking.setdefault(axis, (name, lacks))
     kept = tuple(axis for axis in card.axes if axis not in lacking)
     if not kept or kept == card.axes:

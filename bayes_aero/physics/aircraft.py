@@ -138,12 +138,12 @@ class Envelope:
 
 def excursion(flight: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
     """Least and greatest value of each quantity of an envelope during a flight, SI; the load factor is -az/g."""
-    found = {name: np.asarray(flight[name]) for name in ("alpha", "beta", "phi", "airspeed") if name in flight}
+    quantities = {name: np.asarray(flight[name]) for name in ("alpha", "beta", "phi", "airspeed") if name in flight}
     if "az" in flight:
-        found["load_factor"] = -np.asarray(flight["az"]) / GRAVITY
+        quantities["load_factor"] = -np.asarray(flight["az"]) / GRAVITY
     if "altitude" in flight:
-        found["altitude_loss"] = np.asarray(flight["altitude"])[0] - np.asarray(flight["altitude"])
-    return {name: (float(np.min(x)), float(np.max(x))) for name, x in found.items()}
+        quantities["altitude_loss"] = np.asarray(flight["altitude"])[0] - np.asarray(flight["altitude"])
+    return {name: (float(np.min(x)), float(np.max(x))) for name, x in quantities.items()}
 
 
 # --- The coefficients' names by axis, and the channels that they are formed from (see `coefficients`).

@@ -8,6 +8,7 @@ Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 1
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -17,13 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from bayes_aero.arrays import AnyArray, Samples, namespace, xp
 from bayes_aero.physics.aircraft import NAMES, Aircraft, Axis
-from bayes_aero.physics.filters import (
-    LONG_REACH,
-    differentiate_joined,
-    inside_joined,
-    smooth_joined,
-    smooth_long,
-)
+from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, inside_joined, smooth_joined, smooth_long
 from bayes_aero.physics.kinematics import (
     RATES,
     Rotation,
@@ -32,9 +27,8 @@ from bayes_aero.physics.kinematics import (
     down_of,
     inertial_moments,
     lever_arm,
-    motion_in_plane,
+    motion_over_ground,
     side_force,
-    sideslip_rate,
 )
 
 SMOOTHED = ("alpha", "beta", "airspeed")
@@ -42,32 +36,16 @@ SMOOTHED = ("alpha", "beta", "airspeed")
 Signals = dict[str, Float[Array, "*#n"]]
 Series = Float[AnyArray, " n"]
 Index = Int[AnyArray, " n"]
-Filter = Callable[[Series], Series]
-
-
-class Coefficients(NamedTuple):
-    """Coefficients, each of shape (n,): CL and CD in stability axes, CY along body y, moments about body axes through
-    the aerodynamic reference point."""
-
-    CL: Float[Array, "*n"]
-    CD: Float[Array, "*n"]
-    Cm: Float[Array, "*n"]
-    CY: Float[Array, "*n"] | None = None
-    Cl: Float[Array, "*n"] | None = None
-    Cn: Float[Array, "*n"] | None = None
 
 
 def condition_joined(channels: Mapping[str, Series], dt: Series, first: Index, last: Index) -> Signals:
-    """Signals smoothed and differentiated as published, with `alpha_dot` and angular accelerations of the smoothed
-    ones; manoeuvres laid end to end, `first` and `last` the ends of each sample's own."""
+    """Signals smoothed and differentiated as published; manoeuvres end to end, `first` and `last` their ends."""
     signals = {name: jnp.asarray(values) for name, values in channels.items()}
-    # One filter over all channels stacked compiles several times faster than one filter each.
     names = [name for name in SMOOTHED if name in signals]
-    rows = jnp.stack([signals[name] for name in (*names, *RATES)])
-    smoothed = jax.vmap(lambda x: smooth_joined(x, first, last))(rows)
-    signals |= dict(zip(names, smoothed, strict=False))
-    slopes = [signals["alpha"], *smoothed[len(names) :]]
-    return signals | _slopes(slopes, lambda x: differentiate_joined(x, dt, first, last))
+    # One filter over all channels stacked compiles several times faster than one filter each.
+    rows = _each(lambda x: smooth_joined(x, first, last), [signals[name] for name in (*names, *RATES)])
+    signals |= dict(zip(names, rows, strict=False))
+    return signals | _slopes(["alpha", *RATES], [signals["alpha"], *rows[len(names) :]], dt, first, last)
 
 
 def unsmoothed_joined(
@@ -78,12 +56,11 @@ def unsmoothed_joined(
     last: Index,
     regression: LiftRegression | None = None,
 ) -> dict[str, Array]:
-    """Unsmoothed channels and the derivatives of `condition_joined`. The difference of measured and modelled
-    coefficients is smoothed later: the filter acts on both sides alike, also on non-linear terms, where the published
-    method underestimates fast effects. alpha-dot is formed by `alpha_rate`, because its noise would bias non-linear
-    models; its `regression` is that of the uncorrected channels, or of these."""
-    rates = [channels[name] for name in RATES]
-    signals = dict(channels) | _slopes(rates, lambda x: differentiate_joined(x, dt, first, last), RATES)
+    """Unsmoothed channels and the derivatives of `condition_joined`."""
+    # The difference of measured and modelled coefficients is smoothed later: the filter acts on both sides alike, also
+    # on non-linear terms, where the published method underestimates fast effects. alpha-dot is formed by `alpha_rate`,
+    # because its noise would bias non-linear models; its `regression` is that of the uncorrected channels, or of these.
+    signals = dict(channels) | _slopes(RATES, [channels[name] for name in RATES], dt, first, last)
     regression = regression or lift_regression(channels, accelerometer, dt, first, last)
     return signals | {"alpha_dot": alpha_rate(signals, regression, dt, first, last)}
 
@@ -91,54 +68,49 @@ def unsmoothed_joined(
 def alike_joined(
     channels: Mapping[str, Array], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
 ) -> Signals:
-    """Every channel smoothed by the one filter, with these derivatives. The filter is linear: a coefficient that is a
-    sum of terms is, once filtered, the sum of its filtered terms."""
+    """Every channel smoothed by the one filter, with these derivatives."""
+    # The filter is linear: a coefficient that is a sum of terms is, once filtered, the sum of its filtered terms.
     raw = unsmoothed_joined(channels, accelerometer, dt, first, last)
     names = [*channels, "alpha_dot"]
-    smoothed = jax.vmap(lambda x: smooth_joined(x, first, last))(jnp.stack([jnp.asarray(raw[n], float) for n in names]))
+    smoothed = _each(lambda x: smooth_joined(x, first, last), [jnp.asarray(raw[n], float) for n in names])
     signals = dict(zip(names, smoothed, strict=True))
-    return signals | _slopes([signals[n] for n in RATES], lambda x: differentiate_joined(x, dt, first, last), RATES)
+    return signals | _slopes(RATES, [signals[n] for n in RATES], dt, first, last)
 
 
-def _slopes(rows: Sequence[Array], derivative: Filter, names: Sequence[str] = ("alpha", *RATES)) -> Signals:
-    return {f"{name}_dot": x for name, x in zip(names, jax.vmap(derivative)(jnp.stack(rows)), strict=True)}
+def _slopes(names: Sequence[str], rows: Sequence[Array], dt: Series, first: Index, last: Index) -> Signals:
+    slopes = _each(lambda x: differentiate_joined(x, dt, first, last), [jnp.asarray(row) for row in rows])
+    return {f"{name}_dot": x for name, x in zip(names, slopes, strict=True)}
 
 
-def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> Coefficients:
-    """Coefficients from conditioned signals, sample by sample. `thrust` (total, net, N) at `aircraft.engine` is taken
-    out, with the moments of `thrust_left` and `thrust_right`. Without `ay` the lateral ones are None."""
+def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> dict[str, Float[Array, "*n"]]:
+    """Coefficients from conditioned signals, sample by sample; the lateral ones only with `ay`."""
+    # CL and CD are in stability axes, CY along body y, moments about body axes through the aerodynamic reference point.
+    # `thrust` (total, net, N) at `aircraft.engine` is taken out, with the moments of `thrust_left` and `thrust_right`.
     s, a = signals, aircraft
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
     arm_x, arm_y, arm_z = lever_arm(rotation, a.accelerometer)
-    thrust_x, thrust_z = thrust_components(s["thrust"], a)
+    (thrust_x, thrust_z), thrust_moments = thrust_of(s, a)
     pressure_area = 0.5 * s["density"] * jnp.square(s["airspeed"]) * a.wing_area
     CX = (a.mass * (s["ax"] - arm_x) - thrust_x) / pressure_area
     CZ = (a.mass * (s["az"] - arm_z) - thrust_z) / pressure_area
     CL, CD = across_flow(CX, CZ, s["alpha"])
-
-    x_engine, y_engine, z_engine = a.engine
-    x_ref, y_ref, z_ref = a.reference_point
-    L, M, N = inertial_moments(rotation, a)
-    M = M - (thrust_x * z_engine - thrust_z * x_engine)
-    Cm = M / (pressure_area * a.chord) - CX * z_ref / a.chord + CZ * x_ref / a.chord
+    L, M, N = (i - t for i, t in zip(inertial_moments(rotation, a), thrust_moments, strict=True))
+    x, y, z = a.reference_point
+    longitudinal = {"CL": CL, "CD": CD, "Cm": M / (pressure_area * a.chord) - CX * z / a.chord + CZ * x / a.chord}
     if "ay" not in s:
-        return Coefficients(CL, CD, Cm)
-
-    b = a.moment_length
-    CY = a.mass * (s["ay"] - arm_y) / pressure_area
-    roll, yaw = engine_moments(s, a)
-    L, N = L - y_engine * thrust_z - roll, N + y_engine * thrust_x - yaw
-    Cl = L / (pressure_area * b) - CZ * y_ref / b + CY * z_ref / b
-    Cn = N / (pressure_area * b) - CY * x_ref / b + CX * y_ref / b
-    return Coefficients(CL, CD, Cm, CY, Cl, Cn)
+        return longitudinal
+    b, CY = a.moment_length, a.mass * (s["ay"] - arm_y) / pressure_area
+    Cl = L / (pressure_area * b) - CZ * y / b + CY * z / b
+    Cn = N / (pressure_area * b) - CY * x / b + CX * y / b
+    return longitudinal | {"CY": CY, "Cl": Cl, "Cn": Cn}
 
 
 def stacked_coefficients(
     signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft, names: Sequence[str] = NAMES
 ) -> Float[Array, "*n c"]:
     """`coefficients` of these names, along the last axis."""
-    found = coefficients(signals, aircraft)
-    return jnp.stack([getattr(found, name) for name in names], axis=-1)
+    formed = coefficients(signals, aircraft)
+    return jnp.stack([formed[name] for name in names], axis=-1)
 
 
 # --- Forces and moments from coefficients; the inverse of `coefficients`.
@@ -150,13 +122,17 @@ def thrust_components(thrust: Samples, aircraft: Aircraft) -> tuple[Samples, Sam
     return thrust * jnp.cos(aircraft.engine_inclination), -thrust * jnp.sin(aircraft.engine_inclination)
 
 
-def engine_moments(signals: Mapping[str, Samples], aircraft: Aircraft) -> tuple[Samples, Samples]:
-    """Moments (N m) about body x and z of a left and a right engine, zero where their thrusts were not recorded."""
-    if "thrust_left" not in signals or "thrust_right" not in signals:
-        nothing = jnp.zeros_like(signals["thrust"])
-        return nothing, nothing
-    along, down = thrust_components(signals["thrust_left"] - signals["thrust_right"], aircraft)
-    return -aircraft.engine_arm * down, aircraft.engine_arm * along
+def thrust_of(
+    signals: Mapping[str, Samples], aircraft: Aircraft
+) -> tuple[tuple[Samples, Samples], tuple[Samples, Samples, Samples]]:
+    """Thrust along body x and z (N), and its moments about the CG (N m): with those of a left and a right engine."""
+    along, down = thrust_components(signals["thrust"], aircraft)
+    x, y, z = aircraft.engine
+    roll, pitch, yaw = y * down, z * along - x * down, -y * along
+    if "thrust_left" in signals and "thrust_right" in signals:
+        apart = thrust_components(signals["thrust_left"] - signals["thrust_right"], aircraft)
+        roll, yaw = roll - aircraft.engine_arm * apart[1], yaw + aircraft.engine_arm * apart[0]
+    return (along, down), (roll, pitch, yaw)
 
 
 def specific_force(
@@ -175,18 +151,17 @@ def moments(
     signals: Mapping[str, Samples],
     aircraft: Aircraft,
 ) -> tuple[Samples, Samples, Samples]:
-    """Moments of aerodynamics and engines about body axes through the centre of gravity, N m. `flow`: Cl, Cm, Cn about
-    the reference point; `force`: specific, at the CG, m/s2, of which thrust is taken out; `signals`: air and thrust."""
+    """Moments of aerodynamics and engines about body axes through the centre of gravity, N m."""
+    # `flow`: Cl, Cm, Cn about the reference point; `force`: specific, at the CG, m/s2, of which thrust is taken out;
+    # `signals`: air and thrust.
     a = aircraft
     area = 0.5 * signals["density"] * jnp.square(signals["airspeed"]) * a.wing_area
-    along, down = thrust_components(signals["thrust"], a)
+    (along, down), (roll, pitch, yaw) = thrust_of(signals, a)
     X, Y, Z = a.mass * force[0] - along, a.mass * force[1], a.mass * force[2] - down
     x, y, z = a.reference_point
-    x_engine, y_engine, z_engine = a.engine
-    roll, yaw = engine_moments(signals, a)
-    L = area * a.moment_length * flow["Cl"] + y * Z - z * Y + y_engine * down + roll
-    M = area * a.chord * flow["Cm"] + z * X - x * Z + z_engine * along - x_engine * down
-    N = area * a.moment_length * flow["Cn"] + x * Y - y * X - y_engine * along + yaw
+    L = area * a.moment_length * flow["Cl"] + y * Z - z * Y + roll
+    M = area * a.chord * flow["Cm"] + z * X - x * Z + pitch
+    N = area * a.moment_length * flow["Cn"] + x * Y - y * X + yaw
     return L, M, N
 
 
@@ -198,8 +173,6 @@ KNOTS = (0.4, 0.6, 0.75, 0.85, 0.93)  # shares of the samples at lower alpha; de
 ITERATIONS = 2  # of the regression, because the hysteresis depends on alpha-dot
 RIDGE = 1e-6  # of the mean square of a column
 
-Operator = Callable[[Series], Series]
-
 
 class LiftRegression(NamedTuple):
     """Regression of the part of alpha-dot due to specific force on the variables on which lift depends."""
@@ -210,18 +183,14 @@ class LiftRegression(NamedTuple):
 
 
 def alpha_rate(s: Mapping[str, AnyArray], regression: LiftRegression, dt: Series, first: Index, last: Index) -> Series:
-    """alpha-dot, rad/s, of manoeuvres laid end to end: slow part from the vane, fast part from gyro and lift.
-
-    The differentiated noise of a vane is several times that of gyro and accelerometer, and a one-sided hysteresis turns
-    it into a bias. The measured part due to specific force is the measured lift; as a regressor of the lift coefficient
-    it would explain the noise of the lift. It is therefore regressed on the variables on which lift depends (angle of
-    attack in pieces, their hysteresis, elevator, pitch rate), and the prediction is used: two-stage least squares. Near
-    the ends only the smoothed vane is used. `s` are channels (n,), SI, with the angular accelerations; `regression` is
-    that of the uncorrected record.
-
-    Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10 (kinematics); two-stage least squares:
-    Wooldridge, *Econometric Analysis of Cross Section and Panel Data*, 2010, ch. 5.
-    """
+    """alpha-dot, rad/s, of manoeuvres laid end to end: slow part from the vane, fast part from gyro and lift."""
+    # The differentiated noise of a vane is several times that of gyro and accelerometer, and a one-sided hysteresis
+    # turns it into a bias. The measured part due to specific force is the measured lift; as a regressor of the lift
+    # coefficient it would explain the noise of the lift. It is therefore regressed on the variables on which lift
+    # depends (angle of attack in pieces, their hysteresis, elevator, pitch rate), and the prediction is used: two-stage
+    # least squares. Near the ends only the smoothed vane is used. `regression` is that of the uncorrected record.
+    # Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10 (kinematics); Wooldridge, *Econometric
+    # Analysis of Cross Section and Panel Data*, 2010, ch. 5 (two-stage least squares).
     smooth, fast, base = _parts(s, dt, first, last)
     raw = regression.share @ _causes(s, base + regression.before, regression.knots)
     return base + fast(raw, smooth(raw))
@@ -256,7 +225,7 @@ def lift_regression(
     return LiftRegression(share, knots, before)
 
 
-def _each(work: Filter, rows: Sequence[AnyArray] | AnyArray) -> AnyArray:
+def _each(work: Callable[[Series], Series], rows: Sequence[AnyArray] | AnyArray) -> AnyArray:
     """`work` on every row: by JAX in one program, which compiles several times faster than one for each."""
     if namespace(*rows) is np:
         return np.stack([work(row) for row in rows])
@@ -265,12 +234,10 @@ def _each(work: Filter, rows: Sequence[AnyArray] | AnyArray) -> AnyArray:
 
 def _parts(
     s: Mapping[str, AnyArray], dt: Series, first: Index, last: Index
-) -> tuple[Operator, Callable[[AnyArray, AnyArray], AnyArray], Series]:
+) -> tuple[Callable[[Series], Series], Callable[[AnyArray, AnyArray], AnyArray], Series]:
     """The smoothing filter, the high-pass filter, and alpha-dot without the part due to specific force."""
 
-    def smooth(x):
-        return smooth_joined(x, first, last)
-
+    smooth = partial(smooth_joined, first=first, last=last)
     vane = smooth(s["alpha"])
     alone, long = (differentiate_joined(x, dt, first, last) for x in (vane, smooth_long(vane)))
     inside = inside_joined(vane.shape[0], first, last) >= LONG_REACH
@@ -329,15 +296,13 @@ def motion_of_aircraft(
     axes: Collection[Axis] = LONGITUDINAL,
     prescribed: Collection[str] = ("p", "r"),
 ) -> AircraftMotion:
-    """Forces, moments and the motion that follows. Forces of `axes` are those of the flow. Others are given: in the
-    plane of symmetry as `force_x` and `force_z`; the lateral one follows from `ay` at the accelerometer, else from the
-    sideslip's rate `beta_dot`, else it is 0.
-
-    `flow` gives the coefficients and other quantities of the effects as a function of alpha-dot in rad/s, on which they
-    depend where `implicit`. `air`: `alpha`, `airspeed`, `density` of the flow, `thrust`. `path`: the motion over
-    ground: `airspeed`, `alpha`, `beta`, rates, `theta` and `phi` or `down`. `prescribed`: those of `p`, `q`, `r` whose
-    acceleration `path` gives (else 0), and `alpha`, if it gives `alpha_dot`.
-    """
+    """Forces, moments and the motion that follows."""
+    # Forces of `axes` are those of the flow. Others are given: in the plane of symmetry as `force_x` and `force_z`; the
+    # lateral one follows from `ay` at the accelerometer, else from the sideslip's rate `beta_dot`, else it is 0. `flow`
+    # gives the coefficients and other quantities of the effects as a function of alpha-dot in rad/s, on which they
+    # depend where `implicit`. `air`: `alpha`, `airspeed`, `density` of the flow, `thrust`. `path`: the motion over
+    # ground: `airspeed`, `alpha`, `beta`, rates, `theta` and `phi` or `down`. `prescribed`: those of `p`, `q`, `r`
+    # whose acceleration `path` gives (else 0), and `alpha`, if it gives `alpha_dot`.
     nothing = jnp.zeros_like(air["alpha"])
     pressure = 0.5 * air["density"] * jnp.square(air["airspeed"])
     down = path["down"] if "down" in path else down_of(path["phi"], path["theta"])
@@ -358,12 +323,12 @@ def motion_of_aircraft(
     if "alpha" in prescribed:
         rate = path["alpha_dot"]
     elif implicit:
-        rate = alpha_dot(lambda rate: motion_in_plane(path, forces(flow(rate)), down)["alpha"])
+        rate = alpha_dot(lambda rate: motion_over_ground(path, forces(flow(rate)), down)["alpha"])
     else:
         rate = None
     known = flow(nothing if rate is None else rate)
     force = forces(known)
-    rates = motion_in_plane(path, force, down) | {"beta": sideslip_rate(path, force, down)}
+    rates = motion_over_ground(path, force, down)
     rates |= {} if rate is None else {"alpha": rate}
     given = {f"{n}_dot": path.get(f"{n}_dot", nothing) for n in RATES if n in prescribed}
     acting = moments(known, force, air, aircraft)
@@ -379,10 +344,10 @@ def accelerometers(now: AircraftMotion, path: Mapping[str, Any], aircraft: Aircr
 
 
 def alpha_dot(rate_of: Callable[[Any], Any]) -> Float[Array, ""]:
-    """Solve rate = rate_of(rate), because lift depends on alpha-dot through the separation point. Usually the right
-    side decreases with alpha-dot, and the root is between zero and rate_of(0). Where it increases the root is beyond,
-    and for a larger slope the motion is not unique: NaN. A fixed-point iteration would not converge (gain 0.9 to 2.7).
-    Derivatives are those of the implicit function."""
+    """Solve rate = rate_of(rate), because lift depends on alpha-dot through the separation point."""
+    # Usually the right side decreases with alpha-dot, and the root is between zero and rate_of(0). Where it increases
+    # the root is beyond, and for a larger slope the motion is not unique: NaN. A fixed-point iteration would not
+    # converge (gain 0.9 to 2.7). Derivatives are those of the implicit function.
 
     def bracketed(excess, first):
         def not_converged(state):

@@ -7,7 +7,7 @@ Flat earth, air mass at rest. Source: Klein and Morelli, *Aircraft System Identi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -44,38 +44,25 @@ def motion_of_path(s: Mapping[str, Samples], force: Axes, sines: Sines | None = 
     sines = _sines(s) if sines is None else sines
     sin_t, cos_t, sin_p, cos_p = sines[4:]
     down = -sin_t, cos_t * sin_p, cos_t * cos_p
-    return motion_in_plane(s, force, down, sines) | {
-        "beta": sideslip_rate(s, force, down, sines),
+    return motion_over_ground(s, force, down, sines) | {
         "theta": s["q"] * cos_p - s["r"] * sin_p,
         "phi": s["p"] + (s["q"] * sin_p + s["r"] * cos_p) * sin_t / cos_t,
     }
 
 
-def motion_in_plane(
+def motion_over_ground(
     s: Mapping[str, Samples], force: Axes, down: Axes, sines: Sines | None = None
 ) -> dict[str, Samples]:
-    """Rates of airspeed, alpha and altitude; `force`: specific, at the CG, `down`: of gravity, in body axes."""
+    """Rates of airspeed, alpha, beta and altitude; `force`: specific, at the CG, `down`: of gravity, in body axes."""
     sin_a, cos_a, sin_b, cos_b = (_sines(s, FLOW_ANGLES) if sines is None else sines)[:4]
-    ax, ay, az = _accelerations(force, down)
-    V = s["airspeed"]
+    ax, ay, az = (f + GRAVITY * d for f, d in zip(force, down, strict=True))
+    V, across = s["airspeed"], ay * cos_b - (ax * cos_a + az * sin_a) * sin_b
     return {
         "airspeed": ax * cos_a * cos_b + ay * sin_b + az * sin_a * cos_b,
         "alpha": s["q"] - sin_b / cos_b * (s["p"] * cos_a + s["r"] * sin_a) + (az * cos_a - ax * sin_a) / (V * cos_b),
         "altitude": -V * (cos_a * cos_b * down[0] + sin_b * down[1] + sin_a * cos_b * down[2]),
+        "beta": across / V + s["p"] * sin_a - s["r"] * cos_a,
     }
-
-
-def sideslip_rate(s: Mapping[str, Samples], force: Axes, down: Axes, sines: Sines | None = None) -> Samples:
-    """Time derivative of sideslip, rad/s; arguments as those of `motion_in_plane`."""
-    sin_a, cos_a, sin_b, cos_b = (_sines(s, FLOW_ANGLES) if sines is None else sines)[:4]
-    ax, ay, az = _accelerations(force, down)
-    across = ay * cos_b - (ax * cos_a + az * sin_a) * sin_b
-    return across / s["airspeed"] + s["p"] * sin_a - s["r"] * cos_a
-
-
-def _accelerations(force: Axes, down: Axes) -> Axes:
-    """With gravity, m/s2."""
-    return force[0] + GRAVITY * down[0], force[1] + GRAVITY * down[1], force[2] + GRAVITY * down[2]
 
 
 def path_outputs(channels: Mapping[str, Samples]) -> tuple[str, ...]:
@@ -158,14 +145,13 @@ def angular_accelerations(moments: Axes, rates: Axes, aircraft: Aircraft, given:
             rows[i] = tuple(float(i == j) for j in range(3))  # type: ignore[call-overload]
             right[i] = given[f"{name}_dot"]
     first, second, third = rows
-    columns = _cross(second, third), _cross(third, first), _cross(first, second)
+    columns = [
+        (b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0])
+        for b, c in ((second, third), (third, first), (first, second))
+    ]
     determinant = sum(x * y for x, y in zip(first, columns[0], strict=True))
     p_dot, q_dot, r_dot = (sum(c[i] * m for c, m in zip(columns, right, strict=True)) / determinant for i in range(3))
     return p_dot, q_dot, r_dot
-
-
-def _cross(a: tuple[Any, Any, Any], b: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def euler_rates(rates: Axes, phi: Samples, theta: Samples) -> Axes:

@@ -100,7 +100,7 @@ def lay_down(model: Model, observations: Observations, folder: Path, asked: dict
     from bayes_aero.inference.mle import fit_mle
     from bayes_aero.inference.results import MleStatus
     from bayes_aero.inference.sampling import density_start, find_mode
-    from bayes_aero.model.noise import Colour, Density, Noise
+    from bayes_aero.model.observations import Colour, Density, Noise
 
     best = fit_mle(model, observations, extra_starts=0)
     if best.status is not MleStatus.CONVERGED:
@@ -138,7 +138,7 @@ def lay_down(model: Model, observations: Observations, folder: Path, asked: dict
 
 def lift_samples(observations: Observations, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Scaled inputs (n, 4) and CL (n,) of `n` samples chosen at random, the same ones in every run."""
-    from bayes_aero.inference.gp.kernel import Scaling
+    from bayes_aero.inference.gp_kernel import Scaling
 
     if n > observations.n:
         raise SystemExit(f"The records have {observations.n} samples, fewer than the {n} of --sizes.")
@@ -225,7 +225,7 @@ def our_sampler(engine: str) -> Callable[[Problem, int, argparse.Namespace], Sam
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Sampling:
         from bayes_aero.inference.sampling import ModeStatus, PosteriorMode
-        from bayes_aero.model.noise import Colour, Density, Noise
+        from bayes_aero.model.observations import Colour, Density, Noise
 
         model, observations = stall(problem)
         density = Density(observations, model, Noise(Colour.WHITE))
@@ -321,9 +321,9 @@ TOLERANCE = {"ftol": 1e-9, "gtol": 1e-4}  # relative change and gradient at whic
 
 def our_process(problem: Problem, size: int, _: argparse.Namespace) -> Fitting:
     """`maximise`, which searches five directions and finds the other six in closed reach."""
-    from bayes_aero.inference.gp.kernel import Priors, ReducedData, maximise, noise_to_signal
+    from bayes_aero.inference.gp_kernel import HyperPrior, Priors, ReducedData, maximise, noise_to_signal
 
-    data, flat = ReducedData.of(*problem.processes[size]), Priors.flat()
+    data, flat = ReducedData.of(*problem.processes[size]), Priors(*5 * [HyperPrior("log-normal", 1.0, 1e6)])
     return lambda _: maximise(noise_to_signal(START), data, flat, w=START[:6].copy(), max_iterations=200).theta
 
 

@@ -21,12 +21,12 @@ from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
 from bayes_aero.diagnosis.result import WINDOW
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight import reading
-from bayes_aero.inference.validation import SplitKind
+from bayes_aero.inference.gp import SplitKind
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs import options
 from bayes_aero.jobs.documents import document_schema
 from bayes_aero.jobs.finished import FORMS
-from bayes_aero.model.noise import Colour
+from bayes_aero.model.observations import Colour
 from bayes_aero.model.records import Forming
 from bayes_aero.simulate import demo
 

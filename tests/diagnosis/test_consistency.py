@@ -33,8 +33,7 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import Agreement, Consistency, noise_of
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.mle import fit_mle
-from bayes_aero.inference.validation import filter_mismatch_notes
+from bayes_aero.inference.mle import filter_mismatch_notes, fit_mle
 from bayes_aero.jobs.documents import ConsistencyPart
 from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.options import IdentifyOptions

@@ -36,7 +36,7 @@ from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import OpenError
-from bayes_aero.inference.results import Scores, ScoreStatus
+from bayes_aero.inference.results import Scores
 from bayes_aero.model.model import lengths_of
 from bayes_aero.physics.aircraft import NAMES, NO_AIRCRAFT
 from bayes_aero.report.pages.diagnosis import diagnosis_sentences, verdict_sentence
@@ -245,7 +245,7 @@ def test_a_form_that_explains_as_well_as_a_cause_is_its_rival(stated, diagnosed,
     assert f"{form} would explain the data about as well" in told
 
 
-SCORES = [Scores(0.5, 0.1, 0.5, r2, ScoreStatus.ok) for r2 in (-0.04, -8.70)]
+SCORES = [Scores(0.5, 0.1, 0.5, r2) for r2 in (-0.04, -8.70)]
 
 
 @pytest.mark.parametrize("worse", [

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import arviz_stats
 import jax
@@ -19,37 +20,29 @@ from scipy.stats import multivariate_normal
 from bayes_aero import processes as compiled_programs
 from bayes_aero.errors import InputError
 from bayes_aero.inference import gp as fit
-from bayes_aero.inference.gp import Prediction, fit_gp, posterior
-from bayes_aero.inference.gp.kernel import (
-    FLAT,
+from bayes_aero.inference.gp import (
+    K_LIMIT,
+    Budget,
+    Prediction,
+    SampleStatus,
+    fit_gp,
+    pareto_smooth,
+    sample_posterior,
+)
+from bayes_aero.inference.gp_kernel import (
     SD_BOUNDS,
-    ExactPoint,
     HyperPrior,
     MapStatus,
     Priors,
     ProfilePosterior,
     ReducedData,
     best_sizes,
+    density_at,
+    exact_point,
     find_map,
-    log_posterior,
     maximise,
     noise_to_signal,
-    reduced_stats,
     slopes,
-    stats_and_gradient,
-)
-from bayes_aero.inference.gp.posterior import (
-    K_LIMIT,
-    Budget,
-    SampleStatus,
-    Settings,
-    fit_emulator,
-    laplace_root,
-    pareto_smooth,
-    reweight,
-    sample_posterior,
-    small_posterior,
-    thin,
 )
 from bayes_aero.processes import MAPPINGS, full_of_programs, give_back_memory
 
@@ -60,6 +53,12 @@ def covariance(theta, x):
     distance = (((x[:, None] - x) / e[d + 2 : 2 * d + 2]) ** 2).sum(axis=-1)
     k = e[0] ** 2 + (x * e[1 : d + 1] ** 2) @ x.T + e[d + 1] ** 2 * jnp.exp(-0.5 * distance)
     return k + e[-1] ** 2 * jnp.eye(len(x))
+
+
+def log_posterior(theta, data, priors):
+    """log q(theta) + log p(y | theta) at all points; and the exact statistics."""
+    point = exact_point(noise_to_signal(theta), data, slopes=False)
+    return density_at(theta, point, data.n, priors), point
 
 
 @pytest.fixture
@@ -83,97 +82,106 @@ def problem():
 def test_value_is_the_gaussian_density_of_the_full_covariance(problem, seed, d):
     data, theta = problem(seed, n=40, d=d)
     exact = multivariate_normal(np.zeros(data.n), covariance(theta, data.x)).logpdf(data.fy[:, -1])
-    assert log_posterior(theta, data, Priors.flat())[0] == pytest.approx(exact, rel=1e-10)
+    assert log_posterior(theta, data, Priors())[0] - Priors().slopes(theta)[0] == pytest.approx(exact, rel=1e-10)
 
 
 def test_a_covariance_that_cannot_be_factorised_is_a_status(monkeypatch):
     """Every sample twice, and no noise to tell them apart."""
     x = np.repeat(np.linspace(-1, 1, 30), 2)[:, None]
     data = ReducedData.of(x, np.sin(x[:, 0]))
-    value, stats = log_posterior(np.array([0.0, 0.0, 0.0, 3.0, -25.0]), data, Priors.flat())
-    assert not stats.ok
+    value, point = log_posterior(np.array([0.0, 0.0, 0.0, 3.0, -25.0]), data, WIDE)
+    assert not point.ok
     assert np.isnan(value)
-    monkeypatch.setattr("bayes_aero.inference.gp.kernel.NOISE_BOUNDS", (-60.0, -50.0))
-    best = maximise(np.array([1.0, -55.0]), data, Priors(noise=HyperPrior("flat")))
+    monkeypatch.setattr("bayes_aero.inference.gp_kernel.NOISE_BOUNDS", (-60.0, -50.0))
+    best = maximise(np.array([1.0, -55.0]), data, WIDE)
     assert best.status is MapStatus.not_positive_definite
 
 
-# Hyperparameter priors are densities of the logarithm, and refuse nonsense
+# Hyperparameter priors are densities of the logarithm
+def log_density(prior, t):
+    return prior.slopes(t)[0]
+
+
+WIDE = Priors(*5 * [HyperPrior("log-normal", 1.0, 1e3)])  # flat in effect
 PROPER = [
-    HyperPrior("half-normal", 0.7), HyperPrior("log-normal", 0.3, 0.8), HyperPrior("inverse-gamma", 3.0, 2.0),
-    HyperPrior("frechet", 2.0, 5.0),
+    HyperPrior("half-normal", 0.7), HyperPrior("log-normal", 0.3, 0.8), HyperPrior("frechet", 2.0, 5.0),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("prior", PROPER, ids=lambda p: p.family)
 def test_priors_integrate_to_one_and_draws_follow_them(prior):
-    mass, _ = quad(lambda t: float(jnp.exp(prior.log_density(jnp.asarray(t)))), -15, 8, limit=200)
+    mass, _ = quad(lambda t: float(jnp.exp(log_density(prior, jnp.asarray(t)))), -15, 8, limit=200)
     assert mass == pytest.approx(1.0, abs=1e-6)
-    t = np.asarray(prior.sample(jax.random.PRNGKey(4), (4000,)))
-    mean, _ = quad(lambda s: s * float(jnp.exp(prior.log_density(jnp.asarray(s)))), -15, 8, limit=200)
+    t = prior.sample(np.random.default_rng(4), (4000,))
+    mean, _ = quad(lambda s: s * float(jnp.exp(log_density(prior, jnp.asarray(s)))), -15, 8, limit=200)
     assert t.mean() == pytest.approx(mean, abs=5 * t.std() / np.sqrt(t.size))
 
 
 def test_a_frechet_prior_charges_for_what_is_shorter_than_its_scale():
     prior = HyperPrior("frechet", 6.0, 10.0)
-    t = prior.sample(jax.random.PRNGKey(1), (20000,))
+    t = prior.sample(np.random.default_rng(1), (20000,))
     assert float(jnp.mean(jnp.exp(t) < 6.0)) == pytest.approx(np.exp(-1.0), abs=0.02)  # its scale is that quantile
-    at_half, at_scale = prior.log_density(jnp.log(jnp.array([3.0, 6.0])))
+    at_half, at_scale = log_density(prior, jnp.log(jnp.array([3.0, 6.0])))
     assert float(at_scale - at_half) == pytest.approx(2.0**10 - 1.0 - 10.0 * np.log(2.0))
 
 
-def test_priors_are_laid_out_as_theta_and_refuse_nonsense():
+def test_priors_are_laid_out_as_theta():
     priors, d = Priors(), 3
     theta = jnp.linspace(-1, 1, 2 * d + 3)
-    parts = [float(p.log_density(t)) for p, t in zip(priors.per_parameter(d), theta, strict=True)]
-    assert float(priors.log_density(theta)) == pytest.approx(sum(parts))
-    assert priors.sample(jax.random.PRNGKey(0), d, 7).shape == (7, 2 * d + 3)
-    with pytest.raises(InputError, match="positive"):
-        HyperPrior("half-normal", -1.0)
-    with pytest.raises(InputError, match="improper"):
-        FLAT.sample(jax.random.PRNGKey(0), (1,))
-    assert not Priors(noise=FLAT).proper
+    each = [p for p, count in zip(priors.each, (1, d, 1, d, 1), strict=True) for _ in range(count)]
+    parts = [float(log_density(p, t)) for p, t in zip(each, theta, strict=True)]
+    assert float(priors.slopes(theta)[0]) == pytest.approx(sum(parts))
+    assert priors.sample(np.random.default_rng(0), d, 7).shape == (7, 2 * d + 3)
 
 
 # Newton's method for the sizes: its derivatives against automatic ones, its optimum against SciPy's
-INVERSE = Priors(linear=HyperPrior("inverse-gamma", 2.0, 0.5))
-PRIORS = {"house": Priors(), "quasi-steady": Priors.quasi_steady(), "flat": Priors.flat(), "inverse": INVERSE}
+PRIORS = {"house": Priors(), "quasi-steady": Priors.quasi_steady(), "wide": WIDE}
 
 
 def together(w, u):
     return jnp.concatenate([w, u[:-1], (w[-1] + 0.5 * u[-1])[None]])
 
 
+def small_posterior(theta, logdet, gram, n, priors):
+    """log q(theta) + log p(y | theta) given the statistics, by the determinant and the inversion lemma; in JAX."""
+    d = (theta.shape[0] - 3) // 2
+    root = jnp.exp(theta[: d + 1] - theta[d + 1])
+    inner = jnp.eye(d + 1) + root[:, None] * gram[: d + 1, : d + 1] * root
+    explained = root * gram[: d + 1, d + 1]
+    quadratic = (gram[d + 1, d + 1] - explained @ jnp.linalg.solve(inner, explained)) * jnp.exp(-2.0 * theta[d + 1])
+    log_k = 2.0 * n * theta[d + 1] + logdet + jnp.linalg.slogdet(inner)[1]
+    return -0.5 * (quadratic + log_k + n * jnp.log(2.0 * jnp.pi)) + priors.slopes(theta)[0]
+
+
 def statistics_of(seed, d):
-    """Statistics of d inputs, an output with a linear and a curved part, at random length scales."""
+    """Exact statistics of d inputs, an output with a linear and a curved part, at random length scales."""
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((80, d))
     y = np.sin(2.0 * x[:, 0]) + x @ rng.uniform(0.0, 0.3, d) + rng.normal(0.0, 0.2, 80)
     u = np.append(rng.uniform(-0.5, 2.0, d), rng.uniform(-4.0, 0.0))
-    return u, reduced_stats(u, ReducedData.of(x, y / np.sqrt(np.mean(y**2))))
+    return exact_point(u, ReducedData.of(x, y / np.sqrt(np.mean(y**2))), slopes=False)
 
 
 @pytest.mark.parametrize("priors", PRIORS.values(), ids=PRIORS)
 @pytest.mark.parametrize("d", [1, 4])
 def test_derivatives_are_those_of_the_density(priors, d):
     rng = np.random.default_rng(4132)
-    u, stats = statistics_of(rng.integers(2**31), d)
+    point = statistics_of(rng.integers(2**31), d)
     w = rng.uniform(-1.5, 1.0, d + 2)
-    found = slopes(w, u, stats, 80.0, priors)
+    u, found = point.u, slopes(w, point, 80, priors)
 
     def posterior(theta, logdet, gram):
         return small_posterior(theta, logdet, gram, 80.0, priors)
 
-    arguments = (together(w, u), jnp.asarray(stats.logdet), jnp.asarray(stats.gram))
+    arguments = (together(w, u), jnp.asarray(point.logdet), jnp.asarray(point.gram))
     assert found.value == pytest.approx(float(posterior(*arguments)), rel=1e-11)
     by_theta, by_logdet, by_gram = jax.grad(posterior, argnums=(0, 1, 2))(*arguments)
     np.testing.assert_allclose(found.by_theta, by_theta, rtol=1e-8, atol=1e-8)
-    assert found.by_logdet == pytest.approx(float(by_logdet))
+    assert float(by_logdet) == pytest.approx(-0.5)
     symmetric = np.asarray(by_gram) + np.asarray(by_gram).T
     np.testing.assert_allclose(found.by_gram + found.by_gram.T, symmetric, rtol=1e-7, atol=1e-9)
     in_w = jax.jit(lambda w: posterior(together(w, u), *arguments[1:]))
     np.testing.assert_allclose(found.by_w, jax.grad(in_w)(w), rtol=1e-8, atol=1e-8)
-    np.testing.assert_allclose(found.by_w_twice, jax.hessian(in_w)(w), rtol=1e-7, atol=1e-6)
 
 
 @pytest.mark.parametrize("priors", PRIORS.values(), ids=PRIORS)
@@ -181,13 +189,13 @@ def test_the_optimum_is_at_least_as_good_as_that_of_scipy(priors):
     rng = np.random.default_rng(4132)
     for _ in range(5):
         d = int(rng.integers(1, 6))
-        u, stats = statistics_of(rng.integers(2**31), d)
+        point = statistics_of(rng.integers(2**31), d)
         start = rng.uniform(-3.0, 2.0, d + 2)
-        w, found = best_sizes(start, u, stats, 80.0, priors)
+        w, found = best_sizes(start, point, 80, priors)
         assert np.all((w >= SD_BOUNDS[0]) & (w <= SD_BOUNDS[1]))
 
-        def negative(w, u=u, stats=stats):
-            at = slopes(w, u, stats, 80.0, priors)
+        def negative(w, point=point):
+            at = slopes(w, point, 80, priors)
             return -at.value, -at.by_w
 
         theirs = minimize(negative, w, jac=True, method="L-BFGS-B", bounds=[SD_BOUNDS] * w.size)
@@ -196,9 +204,8 @@ def test_the_optimum_is_at_least_as_good_as_that_of_scipy(priors):
         assert np.max(np.abs(found.by_w[inside]), initial=0.0) < 1e-4 * max(1.0, 1e-3 * abs(found.value))
 
 
-# Full Bayes through the stand-in equals NUTS on the exact density, and a wrong stand-in is refused
-LENGTH = Settings(250, 500, 4)
-BUDGET, FOUR = Budget(exact=400, nuts=LENGTH), Budget(starts=4)
+# Full Bayes by weighed draws equals NUTS on the exact density, and a wrong proposal is refused
+FOUR = Budget(starts=4)
 
 
 @pytest.fixture(scope="module")
@@ -209,41 +216,36 @@ def case():
     y = 0.5 + 0.4 * x[:, 0] + 0.5 * np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=60)
     data = ReducedData.of(x, y)
     best = find_map(data, Priors(), starts=4, polish=1)[0]
-    return data, best, sample_posterior(best, data, Priors(), budget=BUDGET._replace(seed=2))
+    return data, best, sample_posterior(best, data, Priors(), budget=Budget(draws=1000, seed=2))
 
 
 def test_it_is_accepted_with_its_error_measured_and_the_same_again(case):
-    data, _, sampled = case
-    weighted = sampled.weighted
-    assert sampled.status is SampleStatus.accepted
-    assert weighted.k_hat < K_LIMIT <= 0.7
-    assert weighted.ess > 0.8 * weighted.exact.size
-    assert np.sum(np.exp(weighted.log_weight)) == pytest.approx(1.0)
-    assert np.max(sampled.chains.rhat) < 1.01
-    at = weighted.theta[1, 5]
-    assert weighted.exact[1, 5] == pytest.approx(log_posterior(at, data, Priors())[0], abs=1e-9)
     data, best, sampled = case
-    again = sample_posterior(best, data, Priors(), budget=BUDGET._replace(seed=2))
-    np.testing.assert_array_equal(again.weighted.theta, sampled.weighted.theta)
-    assert again.weighted.k_hat == sampled.weighted.k_hat
+    assert sampled.status is SampleStatus.accepted
+    assert sampled.k_hat < K_LIMIT <= 0.7
+    assert sampled.ess > 0.5 * sampled.exact.size
+    assert np.sum(np.exp(sampled.log_weight)) == pytest.approx(1.0)
+    for theta, exact in zip(sampled.theta[:5], sampled.exact[:5], strict=True):
+        assert exact == pytest.approx(log_posterior(theta, data, Priors())[0], abs=1e-9)
+    again = sample_posterior(best, data, Priors(), budget=Budget(draws=1000, seed=2))
+    np.testing.assert_array_equal(again.theta, sampled.theta)
+    assert again.k_hat == sampled.k_hat
 
 
 def test_re_weighted_draws_are_those_of_nuts_on_the_exact_density(case):
     data, best, sampled = case
-    root = laplace_root(best.theta, sampled.emulator, float(data.n), Priors())
-    exact = _nuts_on_the_exact_density(best.theta, root, data)
-    draws = np.asarray(best.theta + exact.get_samples(group_by_chain=True) @ root.T)
+    weight = np.exp(sampled.log_weight)
+    mean = weight @ sampled.theta
+    sd = np.sqrt(weight @ (sampled.theta - mean) ** 2)
+    exact = _nuts_on_the_exact_density(best.theta, np.diag(sd), data)
+    draws = np.asarray(best.theta + exact.get_samples(group_by_chain=True) * sd)
     theirs = draws.reshape(-1, best.theta.size)
     theirs_ess = np.array([array_stats.ess(c) for c in np.moveaxis(draws, -1, 0)])
-    weight = np.exp(sampled.weighted.log_weight).ravel()
-    ours = sampled.weighted.theta.reshape(-1, best.theta.size)
-    mean = weight @ ours
-    sd = np.sqrt(weight @ (ours - mean) ** 2)
-    error = np.sqrt(theirs.var(axis=0) * (1 / np.minimum(theirs_ess, len(theirs)) + 1 / sampled.weighted.ess))
+    error = np.sqrt(theirs.var(axis=0) * (1 / np.minimum(theirs_ess, len(theirs)) + 1 / sampled.ess))
     assert np.all(np.abs(mean - theirs.mean(axis=0)) < 4.5 * error)
     np.testing.assert_allclose(sd, theirs.std(axis=0), rtol=0.25)
     log_density_there = -np.asarray(exact.get_extra_fields()["potential_energy"])
-    assert log_density_there.mean() == pytest.approx(weight @ sampled.weighted.exact.ravel(), abs=0.6)
+    assert log_density_there.mean() == pytest.approx(weight @ sampled.exact, abs=0.6)
 
 
 def _nuts_on_the_exact_density(theta, root, data):
@@ -253,54 +255,28 @@ def _nuts_on_the_exact_density(theta, root, data):
     def potential(w):
         at = jnp.asarray(theta) + jnp.asarray(root) @ w
         exact = jax.scipy.stats.multivariate_normal.logpdf(y, jnp.zeros(len(y)), covariance(at, x))
-        return -exact - Priors().log_density(at)
+        return -exact - Priors().slopes(at)[0]
 
     driver = MCMC(
         NUTS(potential_fn=potential, target_accept_prob=0.85, max_tree_depth=7, dense_mass=True),
-        num_warmup=LENGTH.warmup, num_samples=LENGTH.draws, num_chains=LENGTH.chains,
-        chain_method="vectorized", progress_bar=False,
+        num_warmup=250, num_samples=500, num_chains=4, chain_method="vectorized", progress_bar=False,
     )  # fmt: skip
-    starts = jax.random.normal(jax.random.PRNGKey(8), (LENGTH.chains, len(theta)))
+    starts = jax.random.normal(jax.random.PRNGKey(8), (4, len(theta)))
     driver.run(jax.random.PRNGKey(9), init_params=starts, extra_fields=("potential_energy",))
     return driver
 
 
-@pytest.mark.forgets
-@pytest.mark.verify
-def test_it_samples_as_before_after_compiled_programs_were_given_back():
-    """As between two coefficients that one process trains."""
-    x = np.linspace(-1.5, 1.5, 30)[:, None]
-    data = ReducedData.of(x, np.sin(3.0 * x[:, 0]) + 0.1 * np.random.default_rng(3).normal(size=30))
-    best = find_map(data, Priors(), starts=2, polish=1)[0]
-    tiny = Budget(design=20, exact=20, rounds=1, extensions=0, nuts=Settings(10, 10, 2))
-    before = sample_posterior(best, data, Priors(), budget=tiny._replace(seed=1))
-    give_back_memory()
-    after = sample_posterior(best, data, Priors(), budget=tiny._replace(seed=1))
-    np.testing.assert_array_equal(after.chains.theta, before.chains.theta)
-
-
-def test_a_stand_in_that_is_too_narrow_or_cannot_learn_is_refused(case, monkeypatch):
-    """Draws squeezed to a third around the optimum, with the density they then have."""
+def test_a_proposal_that_sits_beside_the_posterior_is_refused_or_moved_there(case):
+    """Two log units from the optimum, one round: refused; more rounds find the way."""
     data, best, sampled = case
-    theta, _ = thin(sampled.chains, 400)
-    narrow = best.theta + (theta - best.theta) / 3.0
-    exact = np.array([log_posterior(t, data, Priors())[0] for t in theta.reshape(-1, 5)])
-    judged = reweight(narrow, exact.reshape(theta.shape[:2]), data, Priors(), lambda _: None)
-    assert judged.k_hat > K_LIMIT
-    assert judged.status is SampleStatus.pareto_k
-    assert "Refused" in judged.status.value
-    # The emulator replaced by one that is wrong about the noise: every round fails, none is used silently.
-    data, best, _ = case
-    honest = posterior.fit_emulator
-
-    def crooked(points, level):
-        bent = [p.stats._replace(logdet=p.stats.logdet + 60.0 * p.u[-1]) for p in points]
-        return honest([p._replace(stats=s) for p, s in zip(points, bent, strict=True)], level)
-
-    monkeypatch.setattr(posterior, "fit_emulator", crooked)
-    sampled = sample_posterior(best, data, Priors(), budget=Budget(exact=80, rounds=2, extensions=1, nuts=LENGTH))
-    assert sampled.status is not SampleStatus.accepted
-    assert "Refused" in sampled.status.value
+    beside = best._replace(theta=best.theta + np.array([0.0, 0.0, 0.0, 2.0, 1.0]))
+    once = sample_posterior(beside, data, Priors(), budget=Budget(rounds=1, seed=1))
+    assert once.status is SampleStatus.uneven_weights
+    assert "Refused" in once.status.value
+    often = sample_posterior(beside, data, Priors(), budget=Budget(rounds=20, seed=1))
+    assert often.status is SampleStatus.accepted
+    ours, theirs = (np.exp(s.log_weight) @ s.theta for s in (often, sampled))
+    np.testing.assert_allclose(ours, theirs, atol=0.3)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -347,53 +323,10 @@ def test_searches_from_several_starts_end_at_the_better_optimum_or_at_a_bound():
     rng = np.random.default_rng(5)
     x = rng.normal(size=(80, 2))
     data = ReducedData.of(x, np.sin(2 * x[:, 0]) + 0.1 * rng.normal(size=80))
-    best = find_map(data, Priors.flat(), starts=4, seed=0)[0]
+    beyond = Priors(linear=HyperPrior("log-normal", 1e-8))  # below the least size that is searched
+    best = find_map(data, beyond, starts=4, seed=0)[0]
     assert best.status is MapStatus.at_bound
     assert find_map(data, Priors(), starts=4, seed=0)[0].status is MapStatus.converged
-
-
-# The stand-in reproduces its data, its derivatives and a held-back point, and stays put outside
-@pytest.fixture
-def trained(problem):
-    data, theta = problem(7, n=80, d=2)
-    centre = noise_to_signal(theta)
-    rng = np.random.default_rng(0)
-    points = []
-    for _ in range(60):
-        u = centre + 0.15 * rng.normal(size=centre.size)
-        points.append(ExactPoint(u, *stats_and_gradient(u, data)))
-    return points, fit_emulator(points[:40], np.zeros(40))
-
-
-def test_what_the_emulator_was_trained_with_is_predicted_again(trained):
-    points, emulator = trained
-    for p in points[40:]:
-        logdet, gram, _ = emulator(jnp.asarray(p.u))
-        assert float(logdet) == pytest.approx(p.stats.logdet, abs=0.02)
-        np.testing.assert_allclose(gram, p.stats.gram, rtol=1e-2, atol=1e-2 * np.max(p.stats.gram))
-    far = jnp.asarray(points[0].u + 5.0)
-    farther = emulator.centre + 3.0 * (far - emulator.centre)
-    (a, _, near_penalty), (b, _, far_penalty) = emulator(far), emulator(farther)
-    assert float(a) == pytest.approx(float(b), abs=1.0)
-    assert float(far_penalty) < float(near_penalty) < -10
-    assert np.all(np.isfinite(jax.grad(lambda u: emulator(u)[2])(far)))
-    assert float(emulator(emulator.centre)[2]) == 0.0
-    points, _ = trained
-    few = fit_emulator(points[:8], np.zeros(8))  # 32 rows: quadratic in three variables has 10 terms, cubic 20
-    corner = np.asarray(few.coefficients)[:4, :4]
-    assert np.count_nonzero(few.coefficients) <= 10 * few.coefficients.shape[-1]
-    assert np.all(np.isfinite(corner))
-    points, emulator = trained
-    junk = [p._replace(u=p.u + 3.0) for p in points[40:50]]
-    again = fit_emulator([*points[:40], *junk], np.append(np.zeros(40), np.full(10, -1e4)))
-    at = jnp.asarray(points[55].u)
-    assert float(again(at)[0]) == pytest.approx(float(emulator(at)[0]), abs=0.05)
-    assert float(again(jnp.asarray(junk[0].u))[2]) < -10
-    points, _ = trained
-    mixed = [*points[:20], *(p._replace(gradient=None) for p in points[20:50])]
-    emulator = fit_emulator(mixed, np.zeros(50))
-    for p in points[50:]:
-        assert float(emulator(jnp.asarray(p.u))[0]) == pytest.approx(p.stats.logdet, abs=0.05)
 
 
 # `fit_gp` from the outside: predictions, coverage, units, refusals, and a tree that ArviZ reads back
@@ -408,8 +341,7 @@ def make(seed, n=100):
 @pytest.fixture(scope="module")
 def sampled():
     X, y = make(0)
-    budget = Budget(exact=80, nuts=LENGTH)  # shape and settings as above: one compilation
-    return fit_gp(X[:, 1:], y - 6 * X[:, 0], names=("V", "CL"), budget=budget._replace(starts=4, seed=4))
+    return fit_gp(X[:, 1:], y - 6 * X[:, 0], names=("V", "CL"), budget=Budget(starts=4, seed=4))
 
 
 @pytest.fixture(scope="module")
@@ -426,14 +358,13 @@ def test_predictions_cover_what_they_say_with_the_uncertainty_of_hyperparameters
     for level, share in coverage.items():
         assert share == pytest.approx(level, abs=0.1 if level == 0.5 else 0.05)
     assert np.sqrt(np.mean((p.mean - y) ** 2)) < 0.13
-    assert np.all(p.sd > p.latent_sd)
     new = np.linspace(60.0, 110.0, 50)[:, None]
-    p = sampled.predict(new)
-    assert p.component_mean.shape == (24, 50)
-    np.testing.assert_allclose(p.mean, p.component_mean.mean(axis=0))
-    within = np.mean(p.component_sd**2, axis=0)
-    np.testing.assert_allclose(p.sd**2, within + p.component_mean.var(axis=0))
-    assert np.all(p.component_mean.std(axis=0) > 0)
+    p, at = sampled.predict(new), np.linspace(0, len(sampled.draws) - 1, 24).round().astype(int)
+    each = [replace(sampled, draws=draw[None]).predict(new) for draw in sampled.draws[at]]
+    means, sds = np.array([one.mean for one in each]), np.array([one.sd for one in each])
+    np.testing.assert_allclose(p.mean, means.mean(axis=0))
+    np.testing.assert_allclose(p.sd**2, np.mean(sds**2, axis=0) + means.var(axis=0))
+    assert np.all(means.std(axis=0) > 0)
 
 
 def test_map_prediction_is_the_textbook_conditional(at_map):
@@ -448,7 +379,6 @@ def test_map_prediction_is_the_textbook_conditional(at_map):
     np.testing.assert_allclose(p.mean, cross.T @ np.linalg.solve(k[:100, :100], y), rtol=1e-8)
     variance = np.diag(k[100:, 100:] - cross.T @ np.linalg.solve(k[:100, :100], cross))
     np.testing.assert_allclose(p.sd**2, variance, rtol=1e-8)
-    np.testing.assert_allclose(p.latent_sd**2, variance - hyper["noise"] ** 2, rtol=1e-5)
     np.testing.assert_allclose(p.high[2] - p.low[2], 2 * 1.959964 * p.sd, rtol=1e-6)
 
 
@@ -479,7 +409,7 @@ def test_units_of_inputs_and_output_do_not_matter(at_map):
 def test_the_tree_is_complete_and_arviz_reads_it_back(sampled, tmp_path):
     tree = sampled.posterior
     assert sampled.status is SampleStatus.accepted
-    assert {"posterior", "prior", "sample_stats", "proposal", "stand_in"} <= set(tree.children)
+    assert {"posterior", "prior", "sample_stats", "proposal"} <= set(tree.children)
     assert list(tree["posterior"]["length_scale"].coords["input"].values) == ["V"]
     assert tree.attrs["k_hat"] == sampled.k_hat < tree.attrs["k_limit"]
     weights = np.exp(tree["proposal"]["log_weight"])
@@ -499,8 +429,6 @@ def test_a_fit_without_sampling_says_so_and_takes_jax_arrays(at_map):
     X, y = make(0)
     again = fit_gp(jnp.asarray(X), jnp.asarray(y), budget=FOUR, sample=False)
     assert again.optima[0].value == at_map.optima[0].value
-    with pytest.raises(InputError, match="alpha, V"):
-        at_map.predict(np.zeros((3, 3)))
 
 
 @pytest.mark.parametrize(
@@ -508,34 +436,37 @@ def test_a_fit_without_sampling_says_so_and_takes_jax_arrays(at_map):
     [
         (lambda X, y: (X[:6], y[:6]), "6 samples cannot"),
         (lambda X, y: (np.tile(X, (81, 1)), np.tile(y, 81)), "8000"),
-        (lambda X, y: (np.where(np.arange(100)[:, None] == 7, np.nan, X), y), "x0 is not finite at sample 7"),
         (lambda X, y: (X * [0.0, 1.0], y), "x0 does not vary"),
-        (lambda X, y: (X, 0.0 * y), "zero at every"),
     ],
-    ids=["few", "many", "nan", "constant", "zero"],
+    ids=["few", "many", "constant"],
 )
 def test_what_cannot_be_fitted_is_refused_in_words(change, says):
     with pytest.raises(InputError, match=says):
         fit_gp(*change(*make(0)), sample=False)
 
 
-def test_priors_and_records_that_cannot_be_sampled_are_refused(monkeypatch):
-    with pytest.raises(InputError, match="improper"):
-        fit_gp(*make(0), priors=Priors.flat())
+def test_records_that_are_too_long_are_refused(monkeypatch):
     X, y = make(0)
     monkeypatch.setattr(fit, "MAX_SAMPLES", 80)
     with pytest.raises(InputError, match=r"n = 100 .*bound of 80.*--resample"):
         fit_gp(X, y, sample=False)
 
 
-@pytest.mark.parametrize("dependent", ["input twice", "sum of inputs", "linear output"])
-def test_dependent_inputs_have_a_mode_and_a_status_in_place_of_draws(dependent):
+@pytest.mark.parametrize("dependent", ["input twice", "sum of inputs"])
+def test_dependent_inputs_are_sampled_as_their_priors_divide_them(dependent):
+    """What the record cannot tell apart, the priors do: draws of the exact posterior, as of independent inputs."""
     X, y = make(0, n=60)
-    if dependent != "linear output":
-        X = np.column_stack([X, X[:, 0] if dependent == "input twice" else X @ [1.0, 0.01]])
-    y = 2.0 + X @ np.arange(1.0, X.shape[1] + 1.0) if dependent == "linear output" else y
+    X = np.column_stack([X, X[:, 0] if dependent == "input twice" else X @ [1.0, 0.01]])
     found = fit_gp(X, y, sample=True, budget=Budget(starts=3, seed=1))
-    assert found.status is SampleStatus.dependent
+    assert found.status is SampleStatus.accepted
+    assert np.isfinite(found.predict(X).mean).all()
+
+
+def test_an_output_without_noise_has_a_mode_and_a_status_in_place_of_draws():
+    X, _ = make(0, n=60)
+    y = 2.0 + X @ np.arange(1.0, X.shape[1] + 1.0)
+    found = fit_gp(X, y, sample=True, budget=Budget(starts=3, seed=1))
+    assert found.status is SampleStatus.uneven_weights
     assert found.posterior is None
     assert np.isfinite(found.predict(X).mean).all()
 

@@ -35,19 +35,22 @@ from bayes_aero.inference.optimise import (
     MAX_ITERATIONS,
     SCORING,
     Evaluation,
+    Problem,
     bfgs_update,
     bounded_step,
     minimise,
 )
 from bayes_aero.inference.prediction_error import (
+    LEVELS,
     SPREAD,
     PredictionErrorStatus,
     fit_prediction_error,
     innovations_posterior,
+    one_step,
     sample_innovations,
+    standardised,
 )
 from bayes_aero.inference.results import Calibration, PosteriorStatus
-from bayes_aero.inference.validation import LEVELS, one_step, probability_transform
 from bayes_aero.model.observations import join
 from bayes_aero.parameter import Parameter, Prior
 
@@ -130,7 +133,7 @@ def test_the_transform_is_that_of_a_scalar_filter_by_hand():
         expected.append(norm.cdf((z - x) / np.sqrt(S)))
         errors.append(z - x)
         x, P = phi * (x + K * (z - x)), phi**2 * (1.0 - K) * P + force**2 * (phi**2 - 1.0) / (2.0 * Zalpha)
-    assert probability_transform(found)[0, :, 0] == pytest.approx(np.array(expected), abs=1e-5)
+    assert norm.cdf(standardised(found))[0, :, 0] == pytest.approx(np.array(expected), abs=1e-5)
     away = np.asarray(prediction_errors(flown.nameless, jnp.array([Zalpha]), found))
     assert away[0, :, 0] == pytest.approx(np.array(errors), abs=1e-7)
     told = one_step(found, away, flown.outputs)
@@ -223,7 +226,7 @@ def test_what_counts_in_a_score_and_what_is_too_few():
     kept = z[np.isfinite(z)]
     assert found.outputs["y0"].count == len(kept) == 300
     assert found.outputs["y0"].shares[1].share == np.mean(np.abs(kept) < norm.ppf(0.95))
-    assert np.isnan(probability_transform(innovations(z))[0, 0, 0])
+    assert np.isnan(standardised(innovations(z))[0, 0, 0])
     found = judged(3.0 * white(3, 1, 20, 1))
     assert found.status == "undecided"
     assert found.outputs["y0"].quantiles.shape[1] == 4
@@ -270,7 +273,7 @@ def test_the_truth_is_recovered_and_without_process_noise_the_fit_is_worse(flown
 
 def test_the_gradient_is_that_of_finite_differences(flown):
     point = np.array([*(0.9 * TRUTH[n] for n in flown.dynamics.names), *np.log(F), *np.log(R)])
-    problem = prediction_error._Problem.of(flown.nameless, F > 0.0, True)
+    problem = prediction_error._Innovations(flown.nameless, F > 0.0, True)
     gradient = problem.evaluate(point).gradient
     for i, g in enumerate(gradient):
         h = 1e-5 * max(1.0, abs(point[i])) * (np.arange(len(point)) == i)
@@ -289,12 +292,12 @@ def test_the_noise_of_a_smoothed_channel_is_no_less_than_that_of_its_last_digit(
     assert np.all(found.R[1:] > 0.1 * R[1:])
 
 
-class Quadratic:
+class Quadratic(Problem):
     """A quadratic cost, and an information that is not its curvature."""
 
     def __init__(self, curvature, information):
-        self.curvature, self.information, self.moving = curvature, information, np.full(6, True)
-        self.bounds, self.step_limit = np.tile([-np.inf, np.inf], (6, 1)), np.full(6, np.inf)
+        super().__init__(np.tile([-np.inf, np.inf], (6, 1)))
+        self.curvature, self.information = curvature, information
 
     def cost(self, point):
         return 0.5 * float(point @ self.curvature @ point)
@@ -309,7 +312,7 @@ def test_steps_that_go_too_far_are_shortened(times):
     factor = np.random.default_rng(5).standard_normal((6, 6))
     information = factor @ factor.T + np.eye(6)
     problem = Quadratic(times * information, information)
-    _, here, converged, steps = minimise(problem, np.full(6, 30.0), problem.evaluate, 1e-3)
+    _, here, converged, steps = minimise(problem, np.full(6, 30.0), 1e-3)
     assert converged
     assert steps < MAX_ITERATIONS / 2
     assert here.cost < 0.01
@@ -342,7 +345,7 @@ def test_gradients_mend_an_information_that_is_not_the_curvature():
     """Off by factors of .2 to 5; steps by the information alone crawl along the flat direction."""
     bowl = Quadratic(np.diag([5.0, 0.05, 0.2, 3.0, 1.0, 1.0]), np.eye(6))
     rules = (SCORING, APPROXIMATE_SCORING)
-    ended = [minimise(bowl, np.full(6, 10.0), bowl.evaluate, 1e-6, rule) for rule in rules]
+    ended = [minimise(bowl, np.full(6, 10.0), 1e-6, rule) for rule in rules]
     assert ended[0][1].cost < 1e-5
     assert 2 * ended[0][3] < ended[1][3]
 

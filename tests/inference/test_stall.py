@@ -16,13 +16,12 @@ from scipy.stats import multivariate_normal
 import bayes_aero as ba
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card import read_card
-from bayes_aero.inference.mle import descend, fit_mle, without_noise_bias
+from bayes_aero.inference.mle import descend, fit_mle, maxima, stall_of, without_noise_bias
 from bayes_aero.inference.results import MleStatus, PosteriorStatus
 from bayes_aero.inference.sampling import (
     EnsembleLength,
     ModeStatus,
     NutsLength,
-    WarmUp,
     density_start,
     find_mode,
     other_modes,
@@ -30,10 +29,8 @@ from bayes_aero.inference.sampling import (
     sample_nuts,
     search_modes,
 )
-from bayes_aero.inference.validation import maxima, stall_of
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import Colour, Density, LogDensity, Noise, observe
 from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
@@ -254,7 +251,7 @@ def linear(thinned):
 
 
 MANY = partial(sample_ensemble, length=EnsembleLength(ensembles=2, walkers=256))
-STEP_ALONE = partial(sample_nuts, length=NutsLength(4, WarmUp(100, acceptance=0.8, metric=False)))
+STEP_ALONE = partial(sample_nuts, length=NutsLength(4, 200, acceptance=0.8, metric=False))
 
 
 @pytest.mark.parametrize(
@@ -476,7 +473,7 @@ class Mixture(LogDensity):
         return (Parameter("a", "1", 0.0, 0.1, "-", PRIOR),)
 
     @property
-    def label_of(self):
+    def noise_label(self):
         return "white"
 
     def log_likelihood(self, x):

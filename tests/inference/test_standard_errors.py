@@ -17,14 +17,14 @@ from bayes_aero.inference.covariance import (
     covariance_of,
     jackknife_covariance,
     robust_covariance,
+    segments_corrected,
     stationary_series,
 )
 from bayes_aero.inference.frequency import cramer_rao, solve
 from bayes_aero.inference.mle import active_bounds, prior_conflicts
 from bayes_aero.inference.results import inseparable
-from bayes_aero.inference.sampling import Drawn, assemble
-from bayes_aero.inference.validation import Dependence, prior_sensitivity
-from bayes_aero.model.noise import LogDensity
+from bayes_aero.inference.sampling import Dependence, Drawn, assemble, prior_sensitivity
+from bayes_aero.model.observations import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.pages.estimates import (
     bound_sentences,
@@ -127,7 +127,7 @@ def test_corrected_intervals_of_a_mean_hold_95_percent(rho):
     for _ in range(400):
         noise = np.asarray(lfilter([1.0], [1.0, -rho], rng.standard_normal(n + 100)))[100:]
         residual = (noise - noise.mean())[None, :, None]
-        plain = fit.corrected(residual)[0]
+        plain = segments_corrected(fit.D, fit.S, fit.R, residual, fit.inside)[0, 0]
         sd = np.sqrt(np.array([1.0, calibration(fit, residual, 0.2)[0]]) * plain)
         inside.append(abs(noise.mean()) < 1.96 * sd)
     plain, calibrated = np.mean(inside, axis=0)
@@ -143,7 +143,7 @@ def test_what_a_fit_takes_out_of_a_random_walk_is_in_its_corrected_variance():
         walk = np.cumsum(np.sqrt(dt) * rng.standard_normal(n))[None, :, None]
         slopes.append(np.sum(fit.weights[..., 0] * walk))
         residual = fit.residual(walk)
-        plain.append(fit.corrected(residual)[0])
+        plain.append(segments_corrected(fit.D, fit.S, fit.R, residual, fit.inside)[0, 0])
         calibrated.append(plain[-1] * calibration(fit, residual, dt)[0])
     exact = 6.0 / (5.0 * n * dt)
     assert np.mean(np.square(slopes)) == pytest.approx(exact, rel=0.35)  # three standard errors
@@ -216,7 +216,12 @@ def test_lifting_the_bound_of_a_linear_fit_gives_the_free_fit():
     gradient = X.T @ (y - X @ held) / 0.01
     sd = np.sqrt(np.diag(np.linalg.inv(A)))
     (found,) = active_bounds(
-        [parameter("CLa", bounds=(2.5, 3.2)), parameter("CLaM")], held, gradient, np.linalg.inv(A), sd, [True, False]
+        [parameter("CLa", bounds=(2.5, 3.2)), parameter("CLaM")],
+        held,
+        gradient,
+        np.linalg.inv(A),
+        sd,
+        np.array([True, False]),
     )
     assert (found.name, found.bound, found.lower) == ("CLa", 3.2, False)
     assert found.unbounded == pytest.approx(free[0], rel=1e-9)
@@ -237,7 +242,7 @@ class Mean(LogDensity):
         return (Parameter("m", "1", 0.0, 0.0, "a mean", Prior("normal", 0.0, self.width)),)
 
     @property
-    def label_of(self):
+    def noise_label(self):
         return "white"
 
     def log_likelihood(self, x):

@@ -12,7 +12,8 @@ from simulated_halves import halves
 from bayes_aero.diagnosis.diagnose import with_stalls
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.gp import GPFit
+from bayes_aero.inference.gp import GPFit, make_splits
+from bayes_aero.inference.mle import stall_of
 from bayes_aero.inference.results import (
     GPReport,
     Identification,
@@ -24,10 +25,9 @@ from bayes_aero.inference.results import (
     Validation,
     score,
 )
-from bayes_aero.inference.validation import make_splits, pit_of, stall_of_posterior
+from bayes_aero.inference.sampling import pit_of
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.model.observations import Observations
+from bayes_aero.model.observations import Colour, Noise, Observations
 from bayes_aero.physics.aircraft import NAMES
 
 EFFECTS = ("attached_lift", "elevator_moment", "pitching_moment", "profile_drag")
@@ -185,7 +185,7 @@ def build(
         for key in engines
     }
     mle, first = fit(model, corrected=corrected, lag1=lag1, status=status), next(iter(posteriors.values()), None)
-    stall = None if first is None else stall_of_posterior(model, first, o.signals, o.aircraft)
+    stall = None if first is None else stall_of(model, first.draws(model.names), o.signals, o.aircraft)
     errors = gp_errors or dict.fromkeys(("random", "block", "manoeuvre"), 0.001)
     run = Identification(
         card=read_card("attas"), model=model, records=records_of(o), observations=o, noise=noise, mle=mle, alone=alone,

@@ -20,13 +20,11 @@ from browsing import (
 )
 from report_samples import CARD, flight, records, study_told
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.jobs.catalogue import effect_facts, known_effects
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures import posterior
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.page import section, write_page
-from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page, effects_page
+from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
 from bayes_aero.report.pages.fly import fly_page
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.pages.parts import PageContext
@@ -196,14 +194,6 @@ def fly_report(tmp_path_factory):
 def study(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
     return write_page(study_page(study_told(folder, failed=(2,))), folder / "report.html")
-
-
-@pytest.fixture(scope="module")
-def catalogue(tmp_path_factory):
-    card = read_card("attas")
-    found = [effect_facts(effect, card) for effect in known_effects(card).values()]
-    page = effects_page(found, provenance(card, [], None, {}), card.title)
-    return write_page(page, tmp_path_factory.mktemp("catalogue") / "report.html")
 
 
 @pytest.fixture(scope="module")

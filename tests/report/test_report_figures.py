@@ -13,8 +13,8 @@ from bayes_aero.diagnosis.diagnose import with_stalls
 from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
 from bayes_aero.diagnosis.selection import sizes
 from bayes_aero.inference.results import Posterior
-from bayes_aero.inference.validation import pit_of
-from bayes_aero.model.noise import Colour
+from bayes_aero.inference.sampling import pit_of
+from bayes_aero.model.observations import Colour
 from bayes_aero.physics.aircraft import NAMES
 from bayes_aero.report.figures.diagnosis import autocorrelation, telling
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, draw_all

@@ -19,7 +19,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.results import Marginal, MleStatus, NextFlight, PosteriorStatus, Scores
 from bayes_aero.jobs.results import results
 from bayes_aero.jobs.store import as_json
-from bayes_aero.model.noise import Colour
+from bayes_aero.model.observations import Colour
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.page import page_table
 from bayes_aero.report.pages.diagnosis import holdout_table

@@ -20,7 +20,7 @@ from bayes_aero.flight.card import parse_card, read_card
 from bayes_aero.inference.results import MleStatus, PosteriorStatus
 from bayes_aero.jobs.documents import ChangePart, document_schema
 from bayes_aero.jobs.store import plain
-from bayes_aero.model.noise import Colour
+from bayes_aero.model.observations import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.report import phrases
 from bayes_aero.report.pages.diagnosis import change_sentences, changes_table, diagnosis_sentences

@@ -17,7 +17,13 @@ from bayes_aero.flight.channel import unit_choices
 from bayes_aero.flight.health import Findings, HealthFinding, channels_of, declared, finding, other_units
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import GRAVITY, Axis, standard_air
-from bayes_aero.physics.kinematics import PATH_NEEDS, STRAIGHT, down_of, euler_rates, motion_in_plane, sideslip_rate
+from bayes_aero.physics.kinematics import (
+    PATH_NEEDS,
+    STRAIGHT,
+    down_of,
+    euler_rates,
+    motion_over_ground,
+)
 
 # --- What each channel's rate of change must be (`physics.kinematics`), without aerodynamics; the distance of the
 # accelerometer from the centre of gravity is neglected, and the wind is steady.
@@ -76,7 +82,7 @@ def rates_of(view: View, only: str | None = None) -> dict[str, np.ndarray]:
     with np.errstate(all="ignore"):
         angles = zip(("phi", "theta", "psi"), euler_rates((p, q, r), v["phi"], v["theta"]), strict=True)
         v |= part
-        return motion_in_plane(v, force, down) | {"beta": sideslip_rate(v, force, down)} | dict(angles)
+        return motion_over_ground(v, force, down) | dict(angles)
 
 
 def dead_heading(view: View) -> bool:
