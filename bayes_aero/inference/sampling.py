@@ -139,6 +139,7 @@ def find_mode(density: LogDensity, start: Float[np.ndarray, " k"]) -> PosteriorM
 
     u, still = np.asarray(density.unconstrain(jnp.asarray(start, float))), np.zeros(len(start))
     step, options = np.full(len(u), 1e-4), {"maxiter": 200, "ftol": 1e-13}
+    factor, positive_definite, cost, gain = np.eye(len(u)), False, np.inf, np.inf
     for _ in range(ROUNDS_OF_CLIMBING):  # L-BFGS, on the scale of the curvature where each round begins
         factor, positive_definite = _curvature(density, u, step)
         step = np.minimum(1e-3 * np.sqrt(np.sum(factor**2, axis=1)), 1e-2)
@@ -481,7 +482,8 @@ def sample_nuts(
         if done:
             break
     by_field = {name: np.concatenate([part[name] for part in fields], axis=1) for name in FIELDS}
-    stats = dict(zip(("diverging", "n_steps", "acceptance_rate", "lp"), by_field.values(), strict=True))
+    keys = ("diverging", "n_steps", "acceptance_rate", "lp")
+    stats: dict[str, np.ndarray] = dict(zip(keys, by_field.values(), strict=True))
     stats["lp"] = -stats["lp"]
     divergent = float(stats["diverging"].mean()) > DIVERGENT_SHARE
     drawn = Drawn("nuts", x, stats, marginals, divergent)
