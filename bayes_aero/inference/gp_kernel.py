@@ -454,7 +454,8 @@ def best_sizes(
             return 1e300, np.zeros(w.size)
         return -at.value, -at.by_w
 
-    options = {"ftol": 0.0, "gtol": 1e-6, "maxiter": 500}
-    start, bounds = np.clip(w, *SD_BOUNDS), [SD_BOUNDS] * w.size
-    w = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+    options, bounds = {"ftol": 0.0, "gtol": 1e-6, "maxiter": 500}, [SD_BOUNDS] * w.size
+    w = np.clip(w, *SD_BOUNDS)
+    for _ in range(3):  # anew from its end, where a nearly flat direction had too short a step
+        w = minimize(negative, w, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
     return w, slopes(w, point, n, priors)

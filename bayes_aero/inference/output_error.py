@@ -152,7 +152,8 @@ class NormalEquations:
             return Point(theta, departure, gram, columns, 0.0, np.ones(gram.shape[1]), math.inf)
         R = np.maximum(gram[:, :, 0, 0].sum(axis=0) / total, TINY)
         cost = 0.5 * total * float(np.sum(np.log(R))) + self.noise_growth
-        cost += 0.5 * float(prior.precision @ (theta - prior.mean) ** 2 + np.sum(departure**2 @ prior.states))
+        of_theta, of_states = prior.precision @ (theta - prior.mean) ** 2, np.sum(departure**2 @ prior.states)
+        cost += 0.5 * float(of_theta) + 0.5 * float(of_states)
         return Point(theta, departure, gram, columns, inside, R, cost + ENVELOPE_PENALTY * (1.0 - inside))
 
 
@@ -169,14 +170,15 @@ class Point(NamedTuple):
 
 
 class EliminatedStates(NamedTuple):
-    """Optimal corrections of the initial states after a step of theta: `first` less `by_theta` times the step."""
+    """Eliminated initial states of the segments, as functions of the step of theta."""
 
-    first: OfStates
-    by_theta: Float[np.ndarray, "w s k"]
+    inverse: Float[np.ndarray, "w s s"]
+    cross: Float[np.ndarray, "w s k"]
+    gradient: OfStates
     gain: float
 
     def step(self, theta: Vector) -> OfStates:
-        return self.first - self.by_theta @ theta
+        return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
 
 
 def reduced_equations(point: Point, prior: NormalPriors) -> tuple[Square, Vector, EliminatedStates]:
@@ -193,7 +195,8 @@ def segment_equations(
     k = len(point.theta)
     N = np.einsum("wcij,c->wij", point.gram, 1.0 / point.R)
     if prior.fixed:
-        states = EliminatedStates(np.zeros_like(point.departure), np.zeros((*point.departure.shape, k)), 0.0)
+        w, s = point.departure.shape
+        states = EliminatedStates(np.zeros((w, s, s)), np.zeros((w, s, k)), np.zeros((w, s)), 0.0)
         return N[:, 1 : k + 1, 1 : k + 1], N[:, 1 : k + 1, 0], states
     of_states = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
     cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
@@ -209,8 +212,7 @@ def segment_equations(
     g = N[:, 1 : k + 1, 0] - np.einsum("wia,wi->wa", Y, y)
     inverse = np.linalg.inv(L)
     inverse = np.swapaxes(inverse, 1, 2) @ inverse
-    first = np.einsum("wij,wj->wi", inverse, gradient)
-    return A, g, EliminatedStates(first, inverse @ cross, 0.5 * float(np.sum(y**2)))
+    return A, g, EliminatedStates(inverse, cross, gradient, 0.5 * float(np.sum(y**2)))
 
 
 # --- The result of an output-error fit: estimates, standard errors for white and coloured residuals, a status.
@@ -346,7 +348,7 @@ def result_at(
         informed = np.flatnonzero((size > 0.0) | (prior.precision > 0.0))
         # Rounding may make the matrix of an unstable flight indefinite.
         if np.all(size[informed] > 0.0) and scaled_eigen(information, informed)[0][0] > INDEFINITE:
-            A, eliminated = information, states.by_theta
+            A, eliminated = information, states.inverse @ states.cross
     at_bound = tuple(p.name for p, a in zip(free, active & ~held, strict=True) if a)
     status = (
         OutputErrorStatus.LEFT_ENVELOPE if point.inside < 1.0

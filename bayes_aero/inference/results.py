@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
@@ -30,8 +30,8 @@ if TYPE_CHECKING:  # they load JAX, which checks of records do without
     from bayes_aero.model.model import Model
     from bayes_aero.model.observations import Colour, Observations
 
-OfEach: TypeAlias = Float[np.ndarray, " k"]
-OfPairs: TypeAlias = Float[np.ndarray, "k k"]
+OfEach = Float[np.ndarray, " k"]
+OfPairs = Float[np.ndarray, "k k"]
 FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which a record is too short for intervals; our choice
 LARGE_BIAS = 0.75  # of the corrected standard error, which contains the bias
 
@@ -253,8 +253,8 @@ def inseparable(
         if any(vague[at]):
             sets.append(
                 Inseparable(
-                    tuple(names[i] for i in at),
-                    tuple(units[i] for i in at),
+                    tuple(names[int(i)] for i in at),
+                    tuple(units[int(i)] for i in at),
                     tuple((float(estimate[i]), float(deviation[i])) for i in at),
                     tuple(float(np.sqrt(inflation[i])) for i in part),
                 )

@@ -482,7 +482,8 @@ def sample_nuts(
         if done:
             break
     by_field = {name: np.concatenate([part[name] for part in fields], axis=1) for name in FIELDS}
-    stats: dict[str, np.ndarray] = dict(zip(("diverging", "n_steps", "acceptance_rate", "lp"), by_field.values(), strict=True))
+    keys = ("diverging", "n_steps", "acceptance_rate", "lp")
+    stats: dict[str, np.ndarray] = dict(zip(keys, by_field.values(), strict=True))
     stats["lp"] = -stats["lp"]
     divergent = float(stats["diverging"].mean()) > DIVERGENT_SHARE
     drawn = Drawn("nuts", x, stats, marginals, divergent)

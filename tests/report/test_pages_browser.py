@@ -229,7 +229,7 @@ def test_without_a_time_columns_are_drawn_over_the_number_of_the_sample(browser,
 
 
 PAGES = {  # how many figures it has at least, and whether they are over time
-    "report": (6 + len(DRAWN), True), "fly_report": (2, True), "study": (1, False), "catalogue": (1, False),
+    "report": (6 + len(DRAWN), True), "fly_report": (2, True), "study": (1, False),
     "starter": (2, True),
 }  # fmt: skip
 
@@ -242,7 +242,7 @@ def test_everyone_can_read_a_page_on_a_desk_and_a_phone_and_it_calls_nobody(requ
     says_in_words_what_figures_show(page, figures)
     if over_time:
         has_a_unit_on_every_axis(page)
-    if name in ("catalogue", "starter"):
+    if name == "starter":
         assert page.locator(".box.wider").count() == 0
         assert page.locator("[data-plot]").count() == (2 if name == "starter" else 0)
     fits_a_phone(phone)
