@@ -102,8 +102,8 @@ def diagnose(
     """
     (card, flights), hidden = terminal.card_and_records(records or [], reading), None
     with terminal.loading():
-        from bayes_aero.jobs.catalogue import refuse_existing, write_effects
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
+        from bayes_aero.jobs.preparing import refuse_existing, write_effects
         from bayes_aero.report.pages.diagnosis import causes_table, in_band_sentences, revealed, screen_table, sentences
         from bayes_aero.report.pages.qualification import points_sentences
         from bayes_aero.report.pages.trajectories import hold_out_table
@@ -158,13 +158,10 @@ def fly(
     card, flights = terminal.card_and_records(records, reading)
     with terminal.loading():
         from bayes_aero.jobs.fly import fly as job
-        from bayes_aero.jobs.results import RESULTS
 
-    console = terminal.teller(quiet=json, highlight=True)
     with terminal.working(out) as tell:
         found = job(flights, card, options, out=out, progress=tell)
-    file, failed = out / RESULTS if json else None, not found.flown.converged
-    terminal.conclude(console, found, lambda: print_fit(console, found, out), json=file, failed=failed)
+    conclude_fit(found, out, json=json)
 
 
 @terminal.with_options
@@ -189,38 +186,34 @@ def path(
     card, flights = terminal.card_and_records(records, reading)
     with terminal.loading():
         from bayes_aero.jobs.fly import flight_path
-        from bayes_aero.jobs.results import RESULTS
 
-    console = terminal.teller(quiet=json, highlight=True)
     with terminal.working(out) as tell:
         found = flight_path(flights, card, options, out=out, progress=tell)
-    terminal.conclude(
-        console,
-        found,
-        lambda: print_fit(console, found, out),
-        json=out / RESULTS if json else None,
-        compared=False,
-        failed=not found.flown.converged,
-        doubtful=bool(found.flown.worse),
-    )
+    conclude_fit(found, out, json=json, compared=False, doubtful=bool(found.flown.worse))
 
 
-def print_fit(console: Console, found: Flight, out: Path) -> None:
+def conclude_fit(found: Flight, out: Path, *, json: bool, compared: bool = True, doubtful: bool = False) -> None:
+    from bayes_aero.jobs.results import RESULTS
     from bayes_aero.report.pages import fly as of_fit
     from bayes_aero.report.pages import trajectories
 
-    flown, beside = found.flown, found.process_noise
-    tables = [of_fit.parameter_table(flown)]
-    if beside is not None and beside.converged:
-        tables.append(trajectories.process_noise_table(beside, flown))
-        tables += [] if beside.one_step is None else [trajectories.one_step_table(beside.one_step, flown.units)]
-    tables += [trajectories.posterior_table(found.posteriors)] if found.posteriors else []
-    tables.append(of_fit.error_table(flown))
-    tables += [of_fit.mode_table(found.motion)] if found.motion is not None and found.motion.modes else []
-    for table in tables:
-        console.print(table.terminal())
-    terminal.print_lines(console, found.sentences, found.notes)
-    console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+    console, flown, beside = terminal.teller(quiet=json, highlight=True), found.flown, found.process_noise
+
+    def show() -> None:
+        tables = [of_fit.parameter_table(flown)]
+        if beside is not None and beside.converged:
+            tables.append(trajectories.process_noise_table(beside, flown))
+            tables += [] if beside.one_step is None else [trajectories.one_step_table(beside.one_step, flown.units)]
+        tables += [trajectories.posterior_table(found.posteriors)] if found.posteriors else []
+        tables.append(of_fit.error_table(flown))
+        tables += [of_fit.mode_table(found.motion)] if found.motion is not None and found.motion.modes else []
+        for table in tables:
+            console.print(table.terminal())
+        terminal.print_lines(console, found.sentences, found.notes)
+        console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+
+    file, failed = out / RESULTS if json else None, not flown.converged
+    terminal.conclude(console, found, show, json=file, compared=compared, failed=failed, doubtful=doubtful)
 
 
 # --- bayes-aero export, open and qualify: what is done with a finished result.

@@ -16,7 +16,8 @@ from rich.text import Text
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.cli import terminal
 from bayes_aero.errors import InputError
-from bayes_aero.jobs.options import Manoeuvre, ReadingOptions, SimulatedNoise
+from bayes_aero.jobs.options import ReadingOptions
+from bayes_aero.simulate import Manoeuvre, SimulatedNoise
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import CheckReport
@@ -59,9 +60,8 @@ def check(
     terminal.print_failures(console, failures)
     if out is not None:
         console.print(f"The report is in {out / 'report.html'}", soft_wrap=True)
-    if not report.usable:
+    if failures or not report.usable:
         raise typer.Exit(terminal.FAILED)
-    terminal.exit_if_failed(failures)
     terminal.exit_in_doubt(report.consistency, report.health, corrects=False)
 
 
@@ -121,7 +121,7 @@ def card(
     if target.exists() and not force:
         raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")
     with terminal.loading():
-        from bayes_aero.jobs.card_template import put_starter_page, starter_card
+        from bayes_aero.jobs.preparing import put_starter_page, starter_card
 
     starter = starter_card(record)
     try:
@@ -145,7 +145,8 @@ def card(
         console.print(f"The report is in {report}", soft_wrap=True)
     console.print(f"Then: bayes-aero check {record} --model {target}", soft_wrap=True)
     terminal.print_failures(console, failures)
-    terminal.exit_if_failed(failures)
+    if failures:
+        raise typer.Exit(terminal.FAILED)
 
 
 def effects(
@@ -169,7 +170,7 @@ def effects(
     Example: bayes-aero effects pitch_rate_bias
     """
     from bayes_aero.flight.card import read_card
-    from bayes_aero.jobs.catalogue import effect_facts, known_effects
+    from bayes_aero.jobs.preparing import effect_facts, known_effects
     from bayes_aero.model.model import effect_named
 
     card = None if model is None else read_card(model)
@@ -261,7 +262,7 @@ def simulate(
         raise InputError(f"{out} exists; give --force to overwrite it, or another name with --out")
     with terminal.loading():
         from bayes_aero.flight.card import read_card
-        from bayes_aero.jobs.catalogue import known_effects, parsed_effects, simulate_file
+        from bayes_aero.jobs.preparing import known_effects, parsed_effects, simulate_file
         from bayes_aero.simulate.demo import Request
 
     card = read_card(model)

@@ -153,12 +153,6 @@ def print_lines(console: Console, sentences: Sequence[str], notes: Sequence[str]
         console.print(f"{mark} {line}", highlight=False)
 
 
-def exit_if_failed(failures: Sequence[str]) -> None:
-    """Leave with `FAILED` where a part of the job failed unexpectedly; what the others found is written."""
-    if failures:
-        raise typer.Exit(FAILED)
-
-
 def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding], *, corrects: bool) -> None:
     """Leave with `DOUBT` where a channel is faulty or sensors disagree, but for known errors that were corrected."""
     explained = corrects and agreement is not None and agreement.agreement == "disagree_explained"

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from importlib import metadata
 from typing import Any
 
 import jax
@@ -14,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero import __version__
 from bayes_aero.dynamics.aircraft import MIN_LAG, POINTS
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError, plain_line
@@ -423,13 +423,6 @@ CONVENTIONS = (
 )
 
 
-def version() -> str:
-    try:
-        return f"bayes_aero {metadata.version('bayes-aero')}"
-    except metadata.PackageNotFoundError:
-        return "bayes_aero"
-
-
 def lengths(found: Identified) -> tuple[str, ...]:
     """Reference lengths and speeds of rates and moments, with their values."""
     a = found.actual_aircraft
@@ -483,7 +476,7 @@ def about(found: Identified) -> tuple[str, ...]:
     if drawn is not None:
         uncertain = (f"{len(drawn.values)} draws of {len(drawn.names)} parameters: {drawn.origin}.",)
     sentences = (
-        f"{found.title}. Exported by {version()}.",
+        f"{found.title}. Exported by bayes_aero {__version__}.",
         *found.sources,
         *CONVENTIONS,
         *lengths(found),
@@ -503,10 +496,3 @@ def unit(channel: str) -> str:
 
 def meaning(channel: str) -> str:
     return STANDARD_CHANNELS[channel].description if channel in STANDARD_CHANNELS else "input of an effect"
-
-
-def wrapped(sentences: Sequence[str], width: int) -> str:
-    """Paragraphs of lines that are no longer than `width`."""
-    import textwrap
-
-    return "\n".join(textwrap.fill(s, width) for s in sentences)

@@ -134,7 +134,7 @@ def _refined(table: Gridded, inputs: Mapping[str, Any]) -> Gridded:
         if np.prod([len(x) for x in axes.values()]) > MOST_CELLS:
             raise InputError(
                 f"the table of {table.output} over {', '.join(axes)} needs more than {MOST_CELLS} points; export --to "
-                "python, fmu or jsbsim instead"
+                "fmu or jsbsim instead"
             )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -15,11 +16,12 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from bayes_aero import __version__
 from bayes_aero.atomic_write import beside, put_folder, write_whole
 from bayes_aero.dynamics.flight import LinearDynamics, linear_dynamics
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
-from bayes_aero.export.identified import Draws, Identified, about, validity, version, wrapped
+from bayes_aero.export.identified import Draws, Identified, about, validity
 from bayes_aero.export.simulators import PROPERTIES, jsbsim_files, write_fmu
 from bayes_aero.export.tables import write_tables
 from bayes_aero.flight.card import Card, LinearCard, read_card, shipped_cards
@@ -252,11 +254,6 @@ SAMPLERS = ("nuts", "emcee")
 TRIES = 50  # times as many normal draws are made until enough lie within the bounds
 
 
-def exported(found: Identified) -> tuple[str, ...]:
-    """Free parameters that the exported coefficients need."""
-    return tuple(p.name for p in found.exported.free if p.name in found.program.inputs_of("parameter"))
-
-
 def no_draws(name: str) -> InputError:
     """What is reported where there is nothing to draw from."""
     return InputError(
@@ -403,7 +400,8 @@ def export(
     if draws:
         if result is None:
             raise no_draws(found.name)
-        found = replace(found, draws=drawn(result, exported(found), draws, seed))
+        needed = [p.name for p in found.exported.free if p.name in found.program.inputs_of("parameter")]
+        found = replace(found, draws=drawn(result, needed, draws, seed))
     target = out or Path(f"{found.name}_{form}")
     return target, write_export(found, form, target)
 
@@ -422,7 +420,8 @@ def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
         if form == "jsbsim":
             table = [f"{n}: {PROPERTIES[n][0]}" for n in found.program.inputs_of("signal") if n in PROPERTIES]
             use.append(f"Read from JSBSim: {'; '.join(table)}.")
-        write_whole(wrapped((*about(found), *use), WIDTH) + "\n", part / "README.txt")
+        lines = [textwrap.fill(sentence, WIDTH) for sentence in (*about(found), *use)]
+        write_whole("\n".join(lines) + "\n", part / "README.txt")
         if found.draws is not None:
             frame = pd.DataFrame(found.draws.values, columns=list(found.draws.names))
             write_whole(frame.to_csv(index=False), part / "draws.csv")
@@ -463,7 +462,7 @@ def export_facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[s
         "schema": SCHEMA,
         **picked(found, "name", "title"),
         "form": form,
-        "version": version(),
+        "version": f"bayes_aero {__version__}",
         "files": list(files),
         "parameters": {
             p.name: {"value": found.values[p.name], "unit": p.unit} for p in found.exported.parameters if p.name in read

@@ -7,9 +7,8 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain, count
+from itertools import count
 from pathlib import Path
-from time import time
 from typing import Any
 
 import jax.numpy as jnp
@@ -66,9 +65,7 @@ from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.table import write_csv
 from bayes_aero.residuals.equation_error import lines_in
 
-UNFILTERED = "Process noise was not fitted, because output error did not converge."
 Sampling = Callable[[str], dict[str, Posterior]]  # draws by the name of the sampler
-DISTURBED = {"gusts": gusts}
 
 
 @keywords(FlyOptions)
@@ -109,7 +106,7 @@ def fitted(
     records: Sequence[FlightRecord], card: Card, options: FlyOptions, out: Path | None, progress: Progress | None
 ) -> FlightStore:
     """The fits and what is said of them, with posteriors; all numbers are written."""
-    setting, began = setting_of(options, card), time()
+    setting = setting_of(options, card)
     if options.frequency is not None:
         if card.linear is None:
             raise InputError(
@@ -142,11 +139,11 @@ def fitted(
     if options.process_noise and flown.converged:
         if progress:
             progress("process noise", 0.9)
-        what = "Process noise was not fitted"
-        filtered, more = attempted(what, lambda: with_process_noise(flown), None, out, own=own)
+        filtered, more = attempted("Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own)
         beside, sample = filtered or (None, None)
     notes = [*left_out, *notes, *(said for fit in flown.frequency for said in frequency_sentences(fit))]
-    notes += [UNFILTERED] if options.process_noise and not flown.converged else []
+    if options.process_noise and not flown.converged:
+        notes.append("Process noise was not fitted, because output error did not converge.")
     moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown, beside), None, out)
     hindered = usable_for(records, card).get("diagnose", "")  # why diagnose cannot use the records
     failed = (*checks.failures, *failed, *more, *unmoved)
@@ -164,8 +161,6 @@ def fitted(
     kept.keep()
     if sample is not None and beside is not None and options.posterior and beside.converged:
         kept.sample(partial(sample, options.seed, progress))
-    if out is not None:
-        remove_older(out, ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"), began)
     return kept
 
 
@@ -197,12 +192,13 @@ class FlightStore(Growing[Flight]):
         found, out = self.result, self.out
         if out is None:
             return
+        remove_older(out, ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"), self.began)
         together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
         failed = put_histories(lambda: flights(together, found.flown.units), out)
         drawn: list[Path] = []
         if figures:
             every: list[tuple[Any, Any]] = [(fly_figures(found.flown), found.flown)]
-            every += [] if found.process_noise is None else [(DISTURBED, found.process_noise)]
+            every += [] if found.process_noise is None else [({"gusts": gusts}, found.process_noise)]
             every += [({"pair": pair_of}, found.posteriors)] if found.posteriors else []
             for number, (drawings, shown) in enumerate(every):
                 paths, more = draw_all(drawings, shown, out / "figures", None if number else progress)
@@ -312,7 +308,6 @@ def flown_dynamics(
 
 CORRECTED = "corrected"
 WRITTEN, SCHEMA = "written.json", "bayes_aero/corrected/1"  # the files of the folder, with their hashes
-UNSAFE = r"[^\w.@+-]"  # in the name of a file
 
 
 @keywords(PathOptions)
@@ -363,9 +358,9 @@ def corrected_files(records: Sequence[FlightRecord], folder: Path) -> list[Path]
     """Where the corrected records go, a file each; `InputError` for one that this command did not write as it is."""
     own, found = written_before(folder), []
     for record in records:
-        name = safe_name(re.sub(UNSAFE, "_", record.name))
-        endings = chain([""], (f"_{k}" for k in count(2)))
-        path = next(p for p in (folder / f"{name}{k}.csv" for k in endings) if p not in found)
+        name = safe_name(re.sub(r"[^\w.@+-]", "_", record.name))
+        paths = (folder / f"{name}{'' if k == 1 else f'_{k}'}.csv" for k in count(1))
+        path = next(path for path in paths if path not in found)
         if path.exists() and path not in own:
             raise InputError(
                 f"{path} is not as bayes-aero path wrote it, and would be replaced; move it, or give another folder "

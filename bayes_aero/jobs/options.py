@@ -22,12 +22,6 @@ SplitName = Literal["random", "block", "manoeuvre"]  # `inference.gp.SplitKind`
 InitialStateName = Literal["free", "fixed"]
 InputsName = Literal["linear", "held"]
 ExportForm = Literal["jsbsim", "fmu", "tables"]
-SimulatedNoise = Literal["none", "white", "ar1", "buffet"]  # `simulate.demo.NOISES`
-Manoeuvre = Literal[  # `simulate.demo.MANOEUVRES`
-    "random_stall", "slow_stall", "elevator_doublet", "elevator_3211", "multisine", "thrust_steps", "speed_change",
-    "sideslip", "bank_to_bank", "stabilizer_steps", "aileron_doublet", "rudder_doublet", "stall_with_bank",
-    "engine_steps",
-]  # fmt: skip
 FREE, FIXED = get_args(InitialStateName)
 LINEAR, HELD = get_args(InputsName)
 

@@ -277,7 +277,7 @@ class Model:
         for stage in stages:
             before = dict(total)
             for effect in self.acting:
-                if effect.stage is stage and delays in (None, effect.is_delay):
+                if effect.stage is stage and delays in (None, any(p.role is Role.DELAY for p in effect.parameters)):
                     for key, increment in effect.increments(values, signals, aircraft, before).items():
                         old = total[key]  # positions are tuples, which add by coordinates
                         total[key] = tuple(map(add, old, increment)) if isinstance(old, tuple) else old + increment
@@ -318,7 +318,7 @@ def as_on_card(parameter: Parameter, card: Card) -> Parameter:
         return parameter
     given = {key: value for key, value in vars(change).items() if value is not None}
     try:
-        return parameter.changed(**given)
+        return replace(parameter, **given)
     except InputError as error:
         raise InputError(f"card {card.name}: {error}") from None
 

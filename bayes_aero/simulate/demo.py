@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +28,7 @@ from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import NAMES, Axis
+from bayes_aero.simulate import Manoeuvre, SimulatedNoise
 
 SEED = 20150101
 DURATION = 90.0  # s
@@ -243,12 +245,8 @@ def _pulses(
 
 # --- A synthetic record as it is asked for: what may be asked, and the samples that it takes.
 
-NOISES = ("none", "white", "ar1", "buffet")
+NOISES, MANOEUVRES = get_args(SimulatedNoise), get_args(Manoeuvre)
 RANDOM_STALL = "random_stall"
-MANOEUVRES = (
-    RANDOM_STALL, "slow_stall", "elevator_doublet", "elevator_3211", "multisine", "thrust_steps", "speed_change",
-    "sideslip", "bank_to_bank", "stabilizer_steps", *LATERAL,
-)  # fmt: skip
 SECONDS = {RANDOM_STALL: 90.0}
 USUAL_SECONDS = 60.0
 SHORTEST, MOST_SAMPLES = 5.0, 200_000

@@ -59,7 +59,7 @@ NOTHING_BEYOND = Beyond((), lambda _: {})
 
 
 @dataclass(frozen=True)
-class Setting:
+class HiddenOptions:
     """How effects are hidden.
 
     `noise`: sensor noise alone (`white`); with autoregressive coefficient disturbances (`ar1`; lag-1 correlation `rho`,
@@ -87,18 +87,18 @@ class Setting:
 
 
 def hidden_records(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[FlightRecord]:
-    """Records alone of `hidden_flights`; `options` are those of `Setting`."""
+    """Records alone of `hidden_flights`; `options` are those of `HiddenOptions`."""
     return [flight.record for flight in hidden_flights(effects, seed=seed, **options)]
 
 
 def hidden_flights(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[HiddenFlight]:
     """Random stall manoeuvres of an aircraft near the demo's, in which `effects` (by name, true values) are hidden.
 
-    `options` are those of `Setting`. Manoeuvre k of a seed is flown with the same commands and draws whatever is
+    `options` are those of `HiddenOptions`. Manoeuvre k of a seed is flown with the same commands and draws whatever is
     hidden, unless the flight leaves its envelope: then all are drawn anew, and after the third time `InputError` says
     that the aircraft cannot be flown so.
     """
-    setting = Setting(**options)
+    setting = HiddenOptions(**options)
     truth = _values(effects, np.random.default_rng([seed, 1]), setting.beyond)
     return _first(3, lambda attempt: _flights(effects, truth, [seed, 2, attempt], setting))
 
@@ -112,7 +112,7 @@ def _first(attempts: int, make: Callable[[int], T]) -> T:
 
 
 def _flights(
-    effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: Setting
+    effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: HiddenOptions
 ) -> list[HiddenFlight]:
     card = setting.card
     model, misrecording, propulsion = _models(setting.beyond.effects)

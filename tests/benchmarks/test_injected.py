@@ -17,9 +17,9 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
-from bayes_aero.jobs.catalogue import write_effects
 from bayes_aero.jobs.diagnose import diagnose_records, proposed_points
 from bayes_aero.jobs.options import DiagnoseOptions
+from bayes_aero.jobs.preparing import write_effects
 from bayes_aero.model.model import own_effects
 from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import Beyond, hidden_records

@@ -20,7 +20,7 @@ from bayes_aero.flight.card import parse_card, read_card
 from bayes_aero.flight.channel import ALIASES, Channel
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import write_record
-from bayes_aero.jobs.card_template import starter_card
+from bayes_aero.jobs.preparing import starter_card
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.aircraft import standard_air
 

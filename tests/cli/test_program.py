@@ -38,7 +38,6 @@ def test_choices_are_those_of_the_libraries():
     assert get_args(options.NoiseName) == tuple(x.value for x in Colour)
     assert get_args(options.SplitName) == get_args(SplitKind)
     assert list(get_args(options.ExportForm)) == list(FORMS)
-    assert get_args(options.SimulatedNoise) == demo.NOISES
     assert options.FlyOptions().windows == WINDOW
 
 
@@ -103,7 +102,7 @@ def test_an_unexpected_failure_is_one_sentence_and_a_traceback_if_asked_for(prog
         raise ZeroDivisionError("no such luck")
 
     (tmp_path / "one.csv").write_text("t,V\n" + "\n".join(f"{0.1 * i},80" for i in range(60)))
-    monkeypatch.setattr("bayes_aero.jobs.card_template.guessed", broken)
+    monkeypatch.setattr("bayes_aero.jobs.preparing.guessed", broken)
     done = program("card", "one.csv")
     assert done.code == 1
     assert done.err.startswith("error: the command failed unexpectedly (ZeroDivisionError: no such luck)")

@@ -18,8 +18,7 @@ from bayes_aero.dynamics.trim import Steady, Trim, modes
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
-from bayes_aero.jobs.options import Manoeuvre
-from bayes_aero.simulate import demo
+from bayes_aero.simulate import Manoeuvre, demo
 from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.injection import synthetic
 

@@ -24,8 +24,8 @@ from bayes_aero.dynamics.kalman import filter_segments
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.prediction_error import disturbed
-from bayes_aero.jobs.catalogue import effect_file, write_effects
 from bayes_aero.jobs.documents import document_schema
+from bayes_aero.jobs.preparing import effect_file, write_effects
 from bayes_aero.jobs.results import term_part
 from bayes_aero.jobs.store import plain
 from bayes_aero.model.model import Model, own_effects

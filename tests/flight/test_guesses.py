@@ -12,10 +12,10 @@ from flights import flight
 
 from bayes_aero.flight.card import parse_card, parse_table
 from bayes_aero.flight.channel import ALIASES, Channel, plain_heading, split_heading, symbol_of
+from bayes_aero.flight.columns import guessed
 from bayes_aero.flight.reading import READERS, inspect_record, read_raw, read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.card_template import starter_card
-from bayes_aero.jobs.column_inference import guessed
+from bayes_aero.jobs.preparing import starter_card
 
 
 # Headings of files that nobody here has written
