@@ -463,7 +463,6 @@ def print_outcome(
 def unit_runner(
     workers: int | None, memory: str | None, scheduler: str | None, units: Path, show: Progress
 ) -> Iterator[UnitRunner | None]:
-    """What does the units: a Dask cluster where one is asked for."""
     if not workers and not scheduler:
         yield None
         return

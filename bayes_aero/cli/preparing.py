@@ -66,7 +66,6 @@ def check(
 
 
 def print_report(console: Console, report: CheckReport) -> None:
-    """Cautions, each record, what the records can be used for, whether the sensors agree."""
     from bayes_aero.report.pages import check as text
     from bayes_aero.report.pages.check import channel_table, sampling
 
@@ -206,7 +205,6 @@ def print_table(found: Sequence[Mapping[str, Any]]) -> None:
 
 
 def print_effect(effect: Mapping[str, Any]) -> None:
-    """Claim, formula, parameters with their priors, worked example, source."""
     from bayes_aero.report.pages.check import facts, parameter_facts, worked
     from bayes_aero.report.phrases import unit_behind
 

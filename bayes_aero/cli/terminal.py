@@ -87,8 +87,7 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
 
 @contextmanager
 def bar(first: str, over: float = 30.0) -> Iterator[Progress]:
-    """A bar with the stage, its time and what is left by the last `over` seconds; silence where there is no
-    terminal."""
+    """A bar with the stage, its time and what is left by the last `over` seconds; silence without a terminal."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with ProgressBar(
@@ -201,7 +200,6 @@ class InterruptionError(Exception):
 
 @contextmanager
 def interruptible(resume: Callable[[], str]) -> Iterator[None]:
-    """Report at Ctrl-C what is kept and how to continue."""
     try:
         yield
     except KeyboardInterrupt:

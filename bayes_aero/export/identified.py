@@ -41,8 +41,6 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
 
 @dataclass(frozen=True)
 class Operation:
-    """One operation; its result has the `name`."""
-
     name: str
     operation: str
     arguments: tuple[Operand, ...]
@@ -77,7 +75,6 @@ class Program:
         return replace(self, steps=tuple(s for s in self.steps if s.name in needed), outputs=dict(outputs))
 
     def evaluated(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
-        """The outputs for numbers or arrays of inputs that broadcast."""
         values: dict[str, Any] = dict(inputs)
 
         def value(x: Operand) -> Any:
@@ -424,7 +421,6 @@ CONVENTIONS = (
 
 
 def lengths(found: Identified) -> tuple[str, ...]:
-    """Reference lengths and speeds of rates and moments, with their values."""
     a = found.actual_aircraft
     rate, lateral = a.rate_length or a.chord, a.lateral_rate_length or a.half_span
     speed = "V" if a.reference_speed is None else f"{a.reference_speed:.6g} m/s"

@@ -453,7 +453,6 @@ def write_fmu(found: Identified, folder: Path) -> Path:
 
 
 def slave_source(found: Identified, name: str) -> str:
-    """The text of the FMU's Python class, which carries out the steps of the program."""
     program, read = found.program, found.program.inputs_of("parameter")
     signals, points = program.inputs_of("signal"), program.inputs_of("state")
     for channel in signals:

@@ -58,8 +58,7 @@ def record_checks(
     left_out: str = "",
     **known: Any,
 ) -> RecordChecks:
-    """Check records, whichever command reads them; should the comparison of sensors fail, the job goes on without.
-    `left_out`: why they are not compared, if so; `known`: arguments of `consistency` on errors of sensors."""
+    """`left_out`: why the sensors are not compared, if so; `known`: arguments of `consistency` on errors of sensors."""
     if progress:
         progress("do the sensors agree?", 0.0)
     agreement, failures = attempted(
@@ -72,13 +71,11 @@ def record_checks(
 
 
 def repaired(records: Sequence[FlightRecord]) -> tuple[list[FlightRecord], tuple[str, ...]]:
-    """The records without isolated spikes, and a note of what was replaced."""
     without, count = despiked_records(records)
     return without, spike_notes(count)
 
 
 def spike_notes(count: Mapping[str, int]) -> tuple[str, ...]:
-    """What was replaced, by channel; nothing where there were no spikes."""
     counts = several(f"{number} of {name}" for name, number in count.items())
     return (f"Isolated spikes were replaced by the median of their neighbours: {counts}.",) if count else ()
 

@@ -94,8 +94,7 @@ def diagnose_records(
     hidden: Hidden | None = None,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Diagnose, as `bayes-aero diagnose` does; `hidden` is what simulated records hide. A stage that fails is a
-    note."""
+    """Diagnose, as `bayes-aero diagnose` does; `hidden` is what simulated records hide."""
     card, left_out = on_recorded_axes(card, records)
     if out is not None:
         writable(out)
@@ -154,7 +153,6 @@ def follow_up(
 
 
 def place_of(diagnosis: Diagnosis, name: str) -> str:
-    """Where a hidden effect is in a diagnosis: first, named, ambiguous, minor or missed."""
     names = [c.name for c in diagnosis.causes]
     if name in names:
         return "first" if names[0] == name else "named"
@@ -164,8 +162,6 @@ def place_of(diagnosis: Diagnosis, name: str) -> str:
 
 
 class ResultStore(Growing[Outcome]):
-    """A diagnosis that grows, with diagnosis.json, its tables and histories."""
-
     def write(self, out: Path) -> None:
         write_json(diagnosis_results(self.result, self.card, self.records, self.source), out / "diagnosis.json")
 
@@ -237,8 +233,7 @@ SETS = 2  # ambiguity sets for which the manoeuvres are judged
 
 
 def proposed_points(diagnosis: Diagnosis, envelope: Envelope = ANYWHERE) -> dict[str, Any]:
-    """The manoeuvres that decide all that the coefficients leave open, in the order of flying; empty if there is
-    nothing to decide. Raises `InputError` if the model cannot be flown."""
+    """The manoeuvres that decide what the coefficients leave open, in the order of flying; empty where nothing is."""
     sets = open_sets(diagnosis)
     if not sets:
         return {}
@@ -298,8 +293,7 @@ Result = TypeVar("Result")
 def in_background(
     job: Callable[[Progress], Result], progress: Progress | None = None
 ) -> Iterator[Callable[[], Result]]:
-    """Run `job` in a thread of its own while the block lasts; what it yields waits for its result. Where the job is, is
-    shown while it is waited for, and there it ends if the block fails: Ctrl-C does not wait for its whole length."""
+    """Run `job` in a thread while the block lasts; what it yields waits for its result. A block that fails ends it."""
     stopped, waited = Event(), Event()
 
     def tell(text: str, share: float) -> None:

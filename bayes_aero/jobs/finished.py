@@ -43,8 +43,7 @@ def fitted_records(
     files: Sequence[Path] = (),
     folders: Sequence[Path] = (),
 ) -> list[FlightRecord]:
-    """The records of a result as they were read, from `files` whatever their names, by their names from `folders`, or
-    from the paths that the result states, beside it or here. `remedy`: what to do where one is not found."""
+    """The records as they were read: from `files`, by name from `folders`, or from where the result says they are."""
     found = []
     for row in provenance["inputs"]:
         if row.get("read") is None or "content" not in row:
@@ -135,8 +134,7 @@ def as_written(file: Path) -> Iterator[None]:
 def read_finished(
     given: str, card: str | None = None, no_card: str = "; give the folder of a result of identify, fly or diagnose"
 ) -> FinishedResult:
-    """The result in a folder or file, with the `card` of the user if it is not found; a card is refused with
-    `no_card`."""
+    """The result in a folder or file; `card`: where it is not found by itself. A card is refused with `no_card`."""
     file = result_file(given)
     if file is None:
         raise InputError(f"{given} is a card{no_card}")
@@ -219,7 +217,6 @@ def estimates_of(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], l
 
 
 def with_process_noise(told: Mapping[str, Any]) -> bool:
-    """Whether a fit with process noise describes the record better than output error does."""
     filtered = told.get("process_noise")
     return filtered is not None and bool(filtered["converged"]) and (filtered["gain"] or 0.0) > 0.0
 
@@ -255,7 +252,6 @@ TRIES = 50  # times as many normal draws are made until enough lie within the bo
 
 
 def no_draws(name: str) -> InputError:
-    """What is reported where there is nothing to draw from."""
     return InputError(
         f"{name}: there is neither a posterior that converged nor a covariance to draw from; run the command of the "
         "result again with this version, or do without draws"
@@ -263,8 +259,7 @@ def no_draws(name: str) -> InputError:
 
 
 def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) -> Draws:
-    """`count` draws of the parameters `wanted`: of a posterior that converged, else normal about the estimates with the
-    covariance corrected for coloured residuals, within the bounds."""
+    """Draws of `wanted` by a posterior that converged, else normal with the corrected covariance, within the bounds."""
     if not 1 <= count <= MOST_DRAWS:
         raise InputError(f"--draws is {count}; give a number from 1 to {MOST_DRAWS}")
     rng, told, found = np.random.default_rng(seed), result.told, result.identified
@@ -313,8 +308,7 @@ def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) 
 
 
 def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> Card:
-    """The card with which a result was made, and its effect files as they were: `given` by the user, the shipped one of
-    that name, at the path that the result states, or a file of that name beside the result or here."""
+    """The card of a result: `given`, the shipped one, at the stated path, or beside the result or here."""
     name, sha256 = provenance["card"]["name"], provenance["card"]["sha256"]
     if given is not None:
         card = read_card(given)
@@ -345,10 +339,7 @@ def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> C
 
 @dataclass(frozen=True)
 class IdentifiedLinear:
-    """A linear system with values of its parameters, SI and radians; `sources` say where these come from.
-
-    `manoeuvres`: how many were fitted. Constants that differ between manoeuvres have a value for each of them.
-    """
+    """A linear system with values, SI; constants that differ between the `manoeuvres` fitted have a value for each."""
 
     name: str
     title: str
@@ -364,7 +355,6 @@ class IdentifiedLinear:
 
     @cached_property
     def fitted(self) -> LinearDynamics:
-        """The system of all manoeuvres, of whatever length."""
         return linear_dynamics(self.card, (1,) * self.manoeuvres)
 
     @property
@@ -407,7 +397,6 @@ def export(
 
 
 def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
-    """Write a model as `form` into the new folder `target`, and say what export.json says."""
     found = _renamed(found)
     if target.exists() or target.is_symlink():
         raise InputError(f"{target} exists; give another folder with --out")

@@ -105,7 +105,6 @@ def fly(
 def fitted(
     records: Sequence[FlightRecord], card: Card, options: FlyOptions, out: Path | None, progress: Progress | None
 ) -> FlightStore:
-    """The fits and what is said of them, with posteriors; all numbers are written."""
     setting = setting_of(options, card)
     if options.frequency is not None:
         if card.linear is None:
@@ -139,7 +138,9 @@ def fitted(
     if options.process_noise and flown.converged:
         if progress:
             progress("process noise", 0.9)
-        filtered, more = attempted("Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own)
+        filtered, more = attempted(
+            "Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own
+        )
         beside, sample = filtered or (None, None)
     notes = [*left_out, *notes, *(said for fit in flown.frequency for said in frequency_sentences(fit))]
     if options.process_noise and not flown.converged:
@@ -165,8 +166,6 @@ def fitted(
 
 
 class FlightStore(Growing[Flight]):
-    """A fit to trajectories with trajectories.json and its tables."""
-
     def write(self, out: Path) -> None:
         found = self.result
         write_csv(parameter_table(found.flown), out / "parameters.csv")
@@ -249,8 +248,7 @@ def output_error_fit(
     options: FlyOptions,
     progress: Progress | None,
 ) -> TrajectoryFit:
-    """The card's model fitted to the trajectories, and in a band, from its first values and from those of the
-    coefficients: a trajectory has optima far from the flight."""
+    """From first values and from those of the coefficients, for a trajectory has optima far from the flight."""
     starts = []
     if coefficients is not None:
         near = dict(zip(coefficients.names, coefficients.estimate, strict=True))
@@ -278,8 +276,7 @@ def output_error_fit(
 def flown_dynamics(
     records: Sequence[FlightRecord], card: Card, outputs: Sequence[str], *, path: bool
 ) -> tuple[Flights, Dynamics, list[str]]:
-    """The records end to end without spikes, what flies them (`path`: the recorded accelerations and rates), and
-    notes."""
+    """Records end to end without spikes, what flies them (`path`: recorded accelerations and rates), and notes."""
     notes: list[str] = []
     dynamics: Dynamics
     if path:

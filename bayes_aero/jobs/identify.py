@@ -90,8 +90,6 @@ def identify(
 
 
 class IdentificationJob(Growing[Identification]):
-    """An identification in work: every step adds to it, and puts on disk what it has found."""
-
     def __init__(
         self,
         records: Sequence[FlightRecord],
@@ -250,7 +248,6 @@ def sampled(
 
 
 def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
-    """Which posteriors are sampled, under which noise model and by which engine."""
     plan = [("emcee", noise, sample_ensemble), ("nuts", noise, sample_nuts)]
     return plan if noise is Colour.WHITE else [*plan, ("white", Colour.WHITE, sample_ensemble)]
 

@@ -108,7 +108,6 @@ LARGEST = 5.0  # times what was found, the largest plausible factor; our choice
 
 
 def refuse_existing(path: Path) -> None:
-    """Raise `InputError` for a path that something is at, or that is no Python file."""
     if path.exists():
         raise InputError(f"{path} exists; give another name to --write-effect")
     if path.suffix != ".py":
@@ -272,7 +271,6 @@ class Starter:
 
 
 def starter_card(path: Path) -> Starter:
-    """Guess from a record's columns."""
     raw = read_raw(path)
     longest = max((len(c.values) for c in raw.columns if c.values is not None), default=0)
     if longest < MIN_SAMPLES:

@@ -65,8 +65,7 @@ def qualify_result(
     out: Path | None = None,
     progress: Progress | None = None,
 ) -> tuple[Qualification, tuple[str, ...]]:
-    """Qualify the model of a finished result, also by `tests` that were not fitted; and sentences on parts that
-    failed."""
+    """Qualify the model of a finished result, also by `tests` that were not fitted; and sentences on what failed."""
     source = read_finished(given, options.card, ", and a card has no uncertainty; give the folder of a result")
     card, records = source.card, source.records("give it with --fitted", options.fitted)
     new = new_records(tests, records, card, source, options.gusts)

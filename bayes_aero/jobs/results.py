@@ -60,8 +60,6 @@ Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated reco
 
 @dataclass(frozen=True)
 class Outcome:
-    """A diagnosis with all that is shown of it."""
-
     view: DiagnosisView
     hidden: Hidden | None = None
     named: Mapping[str, str] = field(default_factory=dict)  # each hidden effect: first, named, ambiguous, minor, missed
@@ -142,7 +140,6 @@ def record_parts(records: Sequence[FlightRecord], card: Card) -> list[parts.Reco
 
 
 def cause_part(cause: Cause) -> parts.CausePart:
-    """One named cause, and what it gains on data that were not fitted."""
     gain, when = cause.gain, {"before": cause.gain.before, "after": cause.gain.after}
     scores = [(key, word, by) for key in ("r2", "rmse", "r", "theil") for word, by in when.items()]
     by_coefficient = {
@@ -157,7 +154,6 @@ def cause_part(cause: Cause) -> parts.CausePart:
 
 
 def trajectories_part(flown: Trajectories | None, card: Card) -> parts.TrajectoriesPart:
-    """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
     if flown is None:
         return parts.TrajectoriesPart()
     before, after, asked = flown.card, flown.extended, flown.asked
@@ -264,7 +260,6 @@ def _sampled(kind: Any, posteriors: Mapping[str, Posterior], **more: Any) -> Any
 
 
 def next_flight_part(found: NextFlight) -> parts.NextFlightPart:
-    """Aircraft, scatter, next flight and manoeuvres, pooled and alone, by parameter."""
     parameters = {
         p.name: parts.NextParameter.of(
             unit=p.unit,
@@ -402,8 +397,7 @@ Histories = Mapping[str, xr.Dataset]
 
 
 def diagnosed(view: View) -> Histories:
-    """Coefficients as the card reconstructs them, and by both models: measured less what the model leaves, so that
-    errors of sensors that it knows are in it; and both models' X."""
+    """Coefficients by both models: measured less what a model leaves, with errors of sensors that it knows; and X."""
     models = {"card": view.card, "extended": view.extended}
     columns = {}
     for c, name in enumerate(view.coefficients):
@@ -422,8 +416,7 @@ def identified(run: Identification) -> Histories:
 
 
 def flights(paths: Iterable[SimulatedManoeuvre], units: Mapping[str, str] | None = None) -> Histories:
-    """Outputs as measured and by each model, a group for each split of the paths; `units` of outputs (SI) for channels
-    that the program does not know by name."""
+    """Outputs as measured and by each model, a group for each split; `units` (SI) of channels that are not standard."""
     known = units or {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
     splits: dict[str, dict[str, dict[str, SimulatedManoeuvre]]] = {}
     for path in paths:

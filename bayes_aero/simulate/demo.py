@@ -284,12 +284,10 @@ class Request:
 
     @property
     def seconds(self) -> float:
-        """Length of the record."""
         return self.duration or SECONDS.get(self.manoeuvre, USUAL_SECONDS)
 
 
 def refuse(request: Request, card: Card) -> None:
-    """`InputError` where no such record can be made."""
     if card.linear is not None:
         raise InputError(f"card {card.name} states a linear system; simulate flies cards with [aircraft] and [model]")
     if request.manoeuvre not in MANOEUVRES:

@@ -409,7 +409,6 @@ class _Correction(eqx.Module):
         return jnp.stack([true[name] for name in self.names]) / self.scale[:, None]
 
     def derivative(self, x: Float[Array, "k n"]) -> LinearOperator:
-        """The derivative at `x`, on vectors."""
         on = lambda product: lambda v: np.asarray(product(self, x, jnp.asarray(v.reshape(x.shape)))).ravel()  # noqa: E731
         return LinearOperator((x.size,) * 2, matvec=on(_forward), rmatvec=on(_backward), dtype=np.float64)  # pyright: ignore[reportCallIssue]
 

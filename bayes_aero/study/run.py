@@ -67,8 +67,6 @@ Some = msgspec.Meta(min_length=1)
 
 
 class StudyFile(msgspec.Struct):
-    """The keys of a study."""
-
     records: Annotated[tuple[str, ...], Some]
     title: str = ""
     task: Literal["identify", "diagnose", "fly"] = "identify"
@@ -104,7 +102,6 @@ class Unit:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
-        """A dictionary that `of_json` reads back."""
         return json.loads(json.dumps(asdict(self)))
 
     @classmethod
@@ -563,8 +560,6 @@ UnitRunner = Callable[[Iterable[tuple[Mapping[str, Any], str]]], Iterator[Mappin
 
 @dataclass(frozen=True)
 class Planned:
-    """A unit, its folder and its state."""
-
     unit: Unit
     folder: Path
     state: CaseState

@@ -28,7 +28,6 @@ from bayes_aero.jobs.documents import document_schema
 from bayes_aero.jobs.finished import FORMS
 from bayes_aero.model.observations import Colour
 from bayes_aero.model.records import Forming
-from bayes_aero.simulate import demo
 
 COMMANDS = sorted(command.callback.__name__ for command in app.registered_commands)
 
