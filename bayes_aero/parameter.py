@@ -164,10 +164,7 @@ class Parameter:
         if not lower < upper:
             raise InputError(f"parameter {self.name} has bounds {lower} to {upper}; the lower must be smaller")
         if not (math.isfinite(self.start) and lower <= self.start <= upper):
-            raise InputError(
-                f"parameter {self.name} starts at {self.start}, outside its bounds {lower} to {upper}; "
-                "move the start or widen the bounds"
-            )
+            raise InputError(f"parameter {self.name} starts at {self.start}, outside its bounds {lower} to {upper}")
 
     def away(self, value: float, sd: float) -> tuple[float, float]:
         """How far a value is from neutral, and its deviation: of the reciprocals where neutral is at infinity."""

@@ -469,9 +469,7 @@ def unit_runner(
     try:
         from bayes_aero.study import cluster
     except ModuleNotFoundError as reason:
-        raise InputError(
-            f'--workers and --scheduler need {reason.name}; install it with: pip install "bayes-aero[cluster]"'
-        ) from None
+        raise InputError(f'--workers and --scheduler need {reason.name}: pip install "bayes-aero[cluster]"') from None
     speak = time.monotonic() + SILENCE
 
     def tell(done: int, of: int, what: str, waiting: bool) -> None:

@@ -212,10 +212,7 @@ def _number(x: Any) -> float:
 
 def _unknown(where: str, what: str) -> InputError:
     effect = where.split("/")[-1] or "of the model"
-    return InputError(
-        f"effect {effect} cannot be exported: it uses {what}, which has no counterpart in the export formats; write it "
-        "with arithmetic, elementary functions, comparisons and where"
-    )
+    return InputError(f"effect {effect} cannot be exported: it uses {what}; write it with elementary functions")
 
 
 # --- The model.

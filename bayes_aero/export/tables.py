@@ -132,10 +132,7 @@ def _refined(table: Gridded, inputs: Mapping[str, Any]) -> Gridded:
             return replace(table, axes=axes, values=values, error=sum((float(x.max()) for x in errors.values()), 0.0))
         axes = {n: np.sort(np.concatenate([x, middles[n][errors[n] > allowed]])) for n, x in axes.items()}
         if np.prod([len(x) for x in axes.values()]) > MOST_CELLS:
-            raise InputError(
-                f"the table of {table.output} over {', '.join(axes)} needs more than {MOST_CELLS} points; export --to "
-                "fmu or jsbsim instead"
-            )
+            raise InputError(f"the table of {table.output} has over {MOST_CELLS} points; export --to fmu or jsbsim")
 
 
 def _range(found: Identified, axis: str, incidences: Mapping[str, Sequence[Gridded]]) -> tuple[float, float]:
@@ -146,10 +143,7 @@ def _range(found: Identified, axis: str, incidences: Mapping[str, Sequence[Gridd
     if axis in found.points:
         return POINT_RANGE
     if axis not in found.flown:
-        raise InputError(
-            f"{found.name}: the flown range of {axis} is not known, so tables have no bounds; export a result of "
-            "identify, fly or diagnose of this version"
-        )
+        raise InputError(f"{found.name}: the flown range of {axis} is not known; export a result of this version")
     low, high = found.flown[axis]
     return (low, high) if high > low else (low - 1e-6, high + 1e-6)
 

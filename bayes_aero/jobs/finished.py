@@ -47,10 +47,7 @@ def fitted_records(
     found = []
     for row in provenance["inputs"]:
         if row.get("read") is None or "content" not in row:
-            raise InputError(
-                f"record {row['name']} of {result} was made in memory, or by an earlier version, and cannot be read "
-                "again; write it to a file, and run the command with that"
-            )
+            raise InputError(f"record {row['name']} of {result} was made in memory; write it to a file first")
         path = Path(row["read"]["path"])
         places = [*(segment_of(file).file for file in files), *(folder / path.name for folder in folders)]
         for folder in (Path(), result.parent, result.parent.parent):
@@ -58,10 +55,7 @@ def fitted_records(
         there = [place for place in places if place.is_file()]
         record = unchanged_record(row, card, there)
         if record is None and (changed := [place for place in there if place not in files]):
-            raise InputError(
-                f"record {changed[0]} has changed since {result} was made (its content differs); run the command "
-                f"again, or {remedy} as it was"
-            )
+            raise InputError(f"record {changed[0]} has changed since {result} was made; {remedy} as it was")
         if record is None:
             where = f"in {folders[0]}" if folders else "where it was, nor beside the result, nor here"
             raise InputError(f"record {path.name} of {result} is not {where}; {remedy}")
@@ -149,20 +143,14 @@ def read_identified(given: str, card: str | None = None) -> tuple[Identified, Fi
     if result_file(given) is not None:
         result = read_finished(given, card)
         if isinstance(result.identified, IdentifiedLinear):
-            raise InputError(
-                f"card {result.identified.name} states a linear system, which has no coefficients to export; use a "
-                "result of a card with [model]"
-            )
+            raise InputError(f"card {result.identified.name} states a linear system; use one with [model]")
         return result.identified, result
     stated = read_card(given)
     model = Model.from_card(stated)
     values = {name: change.start for name, change in stated.changes.items() if change.start is not None}
     values |= dict(model.fixed)
     if missing := [p.name for p in model.parameters if p.name not in values]:
-        raise InputError(
-            f"card {stated.name} states no value of {', '.join(missing)}; give a result of identify, fly or diagnose, "
-            f"or state start under [parameters.{missing[0]}]"
-        )
+        raise InputError(f"card {stated.name} states no value of {', '.join(missing)}; state start under [parameters]")
     source = f"Values: as card {stated.name} states them ({stated.source}); sha256 {stated.sha256[:16]}."
     return Identified(stated.name, stated.title, model, stated.aircraft, values, (source,)), None
 
@@ -252,10 +240,7 @@ TRIES = 50  # times as many normal draws are made until enough lie within the bo
 
 
 def no_draws(name: str) -> InputError:
-    return InputError(
-        f"{name}: there is neither a posterior that converged nor a covariance to draw from; run the command of the "
-        "result again with this version, or do without draws"
-    )
+    return InputError(f"{name}: no posterior that converged nor a covariance; run the command of the result again")
 
 
 def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) -> Draws:
@@ -294,10 +279,7 @@ def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) 
     draws = np.array([found.values[name] for name in names]) + (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     draws = draws[np.all((draws >= low) & (draws <= high), axis=1)][:count]
     if len(draws) < count:
-        raise InputError(
-            f"{found.name}: almost all normal draws of {', '.join(names)} lie beyond the bounds; sample the posterior "
-            "with identify, or fly --posterior"
-        )
+        raise InputError(f"{found.name}: draws of {', '.join(names)} lie beyond the bounds; sample the posterior")
     held = [name for name in wanted if name not in names]
     of = "of the fit with process noise" if result.filtered else "corrected for coloured residuals"
     held_text = f"; {', '.join(held)} held at the estimate" if held else ""
@@ -313,19 +295,14 @@ def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> C
     if given is not None:
         card = read_card(given)
         if card.sha256 != sha256:
-            raise InputError(
-                f"card {given} is not the one with which {result} was made (its content differs); give that card with "
-                "--model, or run the command again"
-            )
+            raise InputError(f"card {given} is not that of {result} (its content differs); give that with --model")
     else:
         shipped, stated = shipped_cards().get(name), provenance["card"].get("path")
         places = [Path(path) for path in (shipped, stated) if path]
         places += [folder / f"{name}.toml" for folder in (result.parent, result.parent.parent, Path())]
         path = next((p for p in places if p.is_file() and sha256_of(p) == sha256), None)
         if path is None:
-            raise InputError(
-                f"{result} was made with a card {name} that is not found here unchanged; give it with --model"
-            )
+            raise InputError(f"{result} was made with card {name}, not found here unchanged; give it with --model")
         card = read_card(name if shipped == path else path)
     now = {path.name: sha256_of(path) for path in card.effect_files if path.is_file()}
     for file in provenance.get("effect_files", ()):
@@ -416,9 +393,7 @@ def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
             write_whole(frame.to_csv(index=False), part / "draws.csv")
         put_folder(part, target.absolute())
     except OSError as reason:
-        raise InputError(
-            f"cannot write {target} ({reason.strerror or reason}); give another folder with --out"
-        ) from None
+        raise InputError(f"cannot write {target} ({reason.strerror or reason}); give another --out") from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return facts

@@ -108,10 +108,7 @@ def fitted(
     setting = setting_of(options, card)
     if options.frequency is not None:
         if card.linear is None:
-            raise InputError(
-                f"trajectories are fitted in the frequency domain for linear cards only; card {card.name} has a model "
-                "of effects, so use bayes-aero identify --frequency"
-            )
+            raise InputError(f"card {card.name} has a model of effects; use bayes-aero identify --frequency")
         for record in records:  # refuses a band in which it has no frequency
             lines_in(options.frequency, record.n, record.dt, record.name)
     card, left_out = on_recorded_axes(card, records, OF_AXIS, DERIVED)
@@ -359,10 +356,7 @@ def corrected_files(records: Sequence[FlightRecord], folder: Path) -> list[Path]
         paths = (folder / f"{name}{'' if k == 1 else f'_{k}'}.csv" for k in count(1))
         path = next(path for path in paths if path not in found)
         if path.exists() and path not in own:
-            raise InputError(
-                f"{path} is not as bayes-aero path wrote it, and would be replaced; move it, or give another folder "
-                "with --out"
-            )
+            raise InputError(f"{path} is not as bayes-aero path wrote it, and would be replaced; move it")
         found.append(path)
     return found
 

@@ -115,14 +115,9 @@ def new_records(
     new = read_records(tests, card.channels, resample=how["resample"], segments=card.segments, split=how["split"])
     for record, before in product(new, fitted):
         if (shared := repeats_of(before, record)) is not None:
-            raise InputError(
-                f"{record.name} {shared[0]}; {before.name} was fitted, so it is tested anyway: give records that were "
-                "not fitted"
-            )
+            raise InputError(f"{record.name} {shared[0]}; {before.name} was fitted, so it is tested anyway")
     if linear is not None and gusts:
-        raise InputError(
-            f"card {linear.name} states a linear system, which does not fly through moving air; leave --gusts out"
-        )
+        raise InputError(f"card {linear.name} states a linear system, not flown in moving air; leave --gusts out")
     if linear is not None and new and linear.rows.by_manoeuvre:
         raise InputError(
             f"card {linear.name} states {several(linear.rows.by_manoeuvre)} for each manoeuvre, so there is no value "
@@ -164,14 +159,9 @@ def _segments(
     bands = {n: card.tolerances[n].value for n in there if n in card.tolerances}
     for name in outputs:
         if name not in bands:
-            raise InputError(
-                f"record {records[0].name} has no channel {name}, which has a tolerance; leave the record out"
-            )
+            raise InputError(f"record {records[0].name} has no channel {name}, which has a tolerance; leave it out")
     if not bands:
-        raise InputError(
-            f"card {card.name} has no tolerance of an output that was recorded and simulated ({', '.join(there)}); "
-            "state one under [tolerances]"
-        )
+        raise InputError(f"card {card.name} has no tolerance of {', '.join(there)}; state one under [tolerances]")
     chosen = outputs or tuple(bands)
     return segments(flights, dynamics, outputs=chosen, substeps=dynamics.substeps(theta, flights)), bands
 

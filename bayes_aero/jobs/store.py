@@ -232,10 +232,7 @@ def result_file(given: str) -> Path | None:
     if is_file(path) and path.name.endswith(".json"):
         return path
     if not path.is_dir():
-        raise InputError(
-            f"there is no result {str(path)!r}: give a folder that identify, fly or diagnose wrote, one of its files "
-            f"({', '.join(FILES)}), or a card"
-        )
+        raise InputError(f"there is no result {str(path)!r}: give a folder of identify, fly or diagnose, or a card")
     there = [path / name for name in FILES if is_file(path / name)]
     if len(there) != 1:
         names = " and ".join(p.name for p in there)

@@ -293,10 +293,7 @@ def refuse(request: Request, card: Card) -> None:
     if request.manoeuvre not in MANOEUVRES:
         raise InputError(f"there is no manoeuvre {request.manoeuvre!r}; use one of {', '.join(MANOEUVRES)}")
     if request.manoeuvre in LATERAL and Axis.LATERAL not in card.axes:
-        raise InputError(
-            f"a {request.manoeuvre} needs a card that models the lateral axis; card {card.name} has "
-            f'[model] axes {list(map(str, card.axes))}: add "lateral"'
-        )
+        raise InputError(f"a {request.manoeuvre} needs the lateral axis; add it to [model] axes of card {card.name}")
     if request.noise not in NOISES:
         raise InputError(f"there is no noise {request.noise!r}; use one of {', '.join(NOISES)}")
     most = LONGEST if request.manoeuvre == RANDOM_STALL else MOST_SAMPLES * request.dt

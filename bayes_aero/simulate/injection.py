@@ -81,9 +81,7 @@ class HiddenOptions:
         if self.noise not in NOISES:
             raise InputError(f"there is no noise {self.noise!r}; use one of {', '.join(NOISES)}")
         if self.seconds is not None and not 1.0 <= self.seconds <= demo.LONGEST:
-            raise InputError(
-                f"a simulated manoeuvre of {self.seconds} s was asked for; ask for 1 to {demo.LONGEST:.0f} s"
-            )
+            raise InputError(f"a manoeuvre of {self.seconds} s was asked for; ask for 1 to {demo.LONGEST:.0f} s")
 
 
 def hidden_records(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[FlightRecord]:
@@ -138,10 +136,7 @@ def _flights(
         kept = slice(demo.MARGIN, demo.MARGIN + lengths[number])
         flown = {key: x[kept] for key, x in everything.items()}
         if left := ENVELOPE.left_by(excursion(flown)):
-            raise InputError(
-                f"with {', '.join(effects) or 'nothing hidden'} at these sizes the flight leaves its envelope: {left}; "
-                "make them smaller"
-            )
+            raise InputError(f"with {', '.join(effects) or 'nothing'} hidden the flight leaves its envelope: {left}")
         # a flight that breaks down after what is kept holds its last value: filters would spread NaN
         true = {key: np.where(np.isfinite(everything[key]), everything[key], flown[key][-1]) for key in FLOWN}
         true["thrust"] = pilots[number].thrust  # as it is commanded
@@ -287,10 +282,7 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
         pilot = pilot._replace(thrust=corrected(engines, values, commanded, marks, card.aircraft)["thrust"])
     (flight,) = fly(flown_model, values, aircraft, [pilot], [start], request.dt)
     if left := WIDER_ENVELOPE.left_by(excursion({key: x[in_record] for key, x in flight.items()})):
-        raise InputError(
-            f"{request.manoeuvre} with {', '.join(request.effects) or 'no effect'} leaves the envelope: {left}; make "
-            "the effects smaller, or change the manoeuvre, --airspeed or --duration"
-        )
+        raise InputError(f"{request.manoeuvre} leaves the envelope: {left}; change effects, --airspeed or --duration")
     true = {key: flight[key] for key in (RIGID if rigid else FLOWN)} | _air_data(flight)
     sensors, recorded = Model.of([e for e in faults if e.kind is not Kind.PROPULSION], axes=axes), true | commanded
     recorded = misrecorded(sensors, values, recorded, marks, card.aircraft) if sensors.effects else recorded
@@ -300,9 +292,7 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
     channels = sensed(rng, kept, replace(card, sensors=deviations), scale, False)
     missing = [c.name for c in card.channels if c.required and c.name != "time" and c.name not in channels]
     if missing:
-        raise InputError(
-            f"card {card.name} requires channel {missing[0]}, which the simulator does not make; set required = false"
-        )
+        raise InputError(f"card {card.name} requires {missing[0]}, which is not simulated; set required = false")
     noise = {k: x * (request.disturbance if "sigma" in k else 1.0) for k, x in demo.DISTURBANCE.items()}
     record = FlightRecord.from_arrays(name, time[in_record], channels, "simulated")
     return Synthetic(

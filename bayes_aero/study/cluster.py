@@ -90,9 +90,7 @@ def local(workers: int, memory: int, units: Path, report: Report) -> Iterator[Un
                 client = Client(cluster, set_as_default=False)
                 stack.callback(_close, client)
         except (OSError, RuntimeError) as reason:
-            raise InputError(
-                f"{workers} workers cannot be started here ({_short(reason)}); mend that, or leave --workers out"
-            ) from None
+            raise InputError(f"{workers} workers cannot be started ({_short(reason)}); leave --workers out") from None
         yield _runner(client, units, report, f"give each worker more than --memory {format_bytes(memory)}")
 
 
@@ -104,10 +102,7 @@ def remote(address: str, units: Path, report: Report) -> Iterator[UnitRunner]:
         try:
             client = Client(address, set_as_default=False)  # else a failed one stays the default
         except (OSError, ValueError, TypeError, ImportError) as reason:
-            raise InputError(
-                f"--scheduler {address} does not answer ({_short(reason)}); check that it runs, and that the "
-                "address is the one that it printed, e.g. tcp://node1:8786"
-            ) from None
+            raise InputError(f"--scheduler {address} does not answer ({_short(reason)}); check the address") from None
         try:
             yield _runner(client, units, report, "give its workers more memory")
         finally:
@@ -165,10 +160,7 @@ def outcome_of(future: Future, unit: tuple[Mapping[str, Any], str], address: str
     if isinstance(reason, KilledWorker):
         deaths = reason.allowed_failures + 1
         return run_unit(*unit, failed=f"its process died {deaths} times, most likely for lack of memory; {remedy}")
-    raise StoppedError(
-        f"the cluster at {address} cannot do units ({_short(reason)}); see that its scheduler and its "
-        "workers run this version of bayes-aero with its extra `cluster`"
-    )
+    raise StoppedError(f"the cluster at {address} cannot do units ({_short(reason)}); it needs bayes-aero[cluster]")
 
 
 def on_worker(given: str, folder: str, driver: Driver) -> dict[str, Any]:
@@ -234,9 +226,7 @@ class Driver:
         try:
             token.write_text(key, encoding="utf-8")
         except OSError as reason:
-            raise InputError(
-                f"cannot write to {units} ({reason.strerror}); mend that and give the same command again"
-            ) from None
+            raise InputError(f"cannot write to {units} ({reason.strerror}); give the same command again") from None
         return cls(versions_of(), str(token), key, tuple(sys.argv))
 
 
@@ -297,10 +287,7 @@ def _check_driver(driver: Driver) -> None:
     here = versions_of()
     other = [f"{name} {here.get(name, 'none')} for {v}" for name, v in driver.versions.items() if here.get(name) != v]
     if other:
-        raise InputError(
-            f"a worker on {host()} has {', '.join(other)}, and its numbers would differ; install there what "
-            "environment/requirements.txt beside the results names"
-        )
+        raise InputError(f"a worker on {host()} has {', '.join(other)}; install environment/requirements.txt there")
     token, until = Path(driver.token), time.monotonic() + FILE_TIMEOUT
     while True:
         with suppress(OSError):

@@ -198,15 +198,11 @@ def record_sets(asked: StudyFile, folder: Path, where: str) -> list[tuple[Path, 
             except (ValueError, OSError) as reason:
                 raise InputError(f"{where}: records {pattern!r} is no pattern of files ({reason})") from None
             if not found:
-                raise InputError(
-                    f"{where}: no record matches {pattern!r} in {folder.resolve()}; records end in {', '.join(READERS)}"
-                )
+                raise InputError(f"{where}: no record matches {pattern!r} in {folder.resolve()}")
         else:
             file = segment_of(folder / pattern).file
             if not is_file(file):
-                raise InputError(
-                    f"{where}: record {pattern!r} does not exist in {folder.resolve()}; give its path there"
-                )
+                raise InputError(f"{where}: record {pattern!r} does not exist in {folder.resolve()}; give its path")
             found = [Path(str(file.resolve()) + str(folder / pattern).removeprefix(str(file)))]
         sets += [(path,) for path in found] if asked.one_by_one else [tuple(found)]
     return list(dict.fromkeys(sets))
@@ -223,10 +219,7 @@ def study_cards(names: Sequence[str], folder: Path, where: str, trust_effects: b
         card = read_card(path.resolve())
         if card.effect_files and not trust_effects:
             files = ", ".join(str(file) for file in card.effect_files)
-            raise InputError(
-                f"{where}: card {name!r} names effect files, which are code and would be run ({files}); read them, "
-                "then give --trust-effects"
-            )
+            raise InputError(f"{where}: card {name!r} runs effect files ({files}); read them, then --trust-effects")
         cards[name, str(path.resolve())] = card
     return cards
 
@@ -610,8 +603,5 @@ def run_study(
     try:
         write_summary(study.units, out / UNITS, out)
     except OSError as error:
-        raise InputError(
-            f"the tables of {out} cannot be written ({error.strerror}), but all units are kept; mend that and give the "
-            "same command again"
-        ) from None
+        raise InputError(f"the tables of {out} cannot be written ({error.strerror}), but all units are kept") from None
     return said
