@@ -40,9 +40,7 @@ MOST = 5  # candidates of each stage on a terminal, where there is no cause
 def identify(
     reading: ReadingOptions,
     options: IdentifyOptions,
-    records: Annotated[
-        list[Path] | None, typer.Argument(help=f"{terminal.RECORDS}; none: two simulated manoeuvres.")
-    ] = None,
+    records: Annotated[list[Path] | None, typer.Argument(help=f"{terminal.RECORDS}; none: two simulated.")] = None,
     out: terminal.OutOption = Path("results"),
     json: terminal.JsonOption = False,
 ) -> None:
@@ -81,19 +79,9 @@ def identify(
 def diagnose(
     reading: ReadingOptions,
     options: DiagnoseOptions,
-    records: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            help=f"{terminal.RECORDS}; none: an effect is hidden in two simulated manoeuvres, then searched for."
-        ),
-    ] = None,
+    records: Annotated[list[Path] | None, typer.Argument(help=f"{terminal.RECORDS}; none: two simulated.")] = None,
     out: terminal.OutOption = Path("diagnosis"),
-    write_effect: Annotated[
-        Path | None,
-        typer.Option(
-            help="Effect file (.py) for the terms by which unexplained structure is described.", metavar="FILE"
-        ),
-    ] = None,
+    write_effect: Annotated[Path | None, typer.Option(help="Effect file (.py) of the terms.", metavar="FILE")] = None,
     json: terminal.JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: size, uncertainty, rivals, and the gain on hold-out data.
@@ -220,16 +208,8 @@ def conclude_fit(found: Flight, out: Path, *, json: bool, compared: bool = True,
 
 
 def export(
-    result: Annotated[
-        str,
-        typer.Argument(
-            help="Folder (or JSON file) that identify, fly or diagnose wrote, or a card that states every value.",
-            metavar="MODEL",
-        ),
-    ],
-    to: Annotated[
-        ExportForm, typer.Option(help="jsbsim: aerodynamics, states and a body; fmu: FMI 2.0; tables: NetCDF and CSV.")
-    ],
+    result: Annotated[str, typer.Argument(help="A result, or a card that states every value.", metavar="MODEL")],
+    to: Annotated[ExportForm, typer.Option(help="jsbsim: an aircraft; fmu: FMI 2.0; tables: NetCDF and CSV.")],
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: NAME_FORM, here.")] = None,
     model: terminal.ResultCardOption = None,
     draws: Annotated[int, typer.Option(min=0, help="Draws of the parameters to write, of their posterior.")] = 0,
@@ -259,9 +239,7 @@ def export(
 
 def open(
     result: terminal.ResultArgument,
-    records: Annotated[
-        list[Path] | None, typer.Option(help="Folder of the records, where they have moved; may be repeated.")
-    ] = None,
+    records: Annotated[list[Path] | None, typer.Option(help="Folder of records that have moved; repeatable.")] = None,
     model: terminal.ResultCardOption = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0: any free one.")] = 0,
     browser: Annotated[bool, typer.Option(help="--no-browser: print the address only.")] = True,
@@ -292,9 +270,7 @@ def open(
 def qualify(
     result: terminal.ResultArgument,
     options: QualifyOptions,
-    records: Annotated[
-        list[Path] | None, typer.Argument(help=f"Further tests: records that were not fitted. {terminal.RECORDS}.")
-    ] = None,
+    records: Annotated[list[Path] | None, typer.Argument(help=f"Not fitted: {terminal.RECORDS}.")] = None,
     out: terminal.OutOption = Path("qualification"),
     json: terminal.JsonOption = False,
 ) -> None:
@@ -339,7 +315,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: STUDY_results, here.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the units and their state; do nothing.")] = False,
     trust_effects: Annotated[
-        bool, typer.Option("--trust-effects", help="Run the effect files (Python) of its cards; read them first.")
+        bool, typer.Option("--trust-effects", help="Run its cards' effect files; read them.")
     ] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Number of processes on this machine.")] = None,
     memory: Annotated[str | None, typer.Option(help="For each worker, e.g. 4GiB; default: an equal share.")] = None,

@@ -31,9 +31,7 @@ def check(
     reading: ReadingOptions,
     sensors: Annotated[bool, typer.Option(help="Check the sensors against each other along the flight path.")] = True,
     seed: terminal.SeedOption = 0,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for report.html and check.json; none: nothing is written.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for report.html and check.json.")] = None,
     json: terminal.JsonOption = False,
 ) -> None:
     """Check records against a card: channels, units, gaps, what they can test, agreement of the sensors.
@@ -99,9 +97,7 @@ def print_report(console: Console, report: CheckReport) -> None:
 
 def card(
     record: Annotated[Path, typer.Argument(help=f"A flight record whose columns have names ({terminal.SUFFIXES}).")],
-    out: Annotated[
-        Path | None, typer.Option(help="File to write; default: the record's name with .toml, here.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; default: the record's name with .toml.")] = None,
     page: Annotated[bool, typer.Option("--page/--no-page", help="Write CARD.report.html, too.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a card that is there.")] = False,
     json: terminal.JsonOption = False,
@@ -159,9 +155,7 @@ def effects(
             ],
         ),
     ] = None,
-    model: Annotated[
-        str | None, typer.Option(help="A card, for its own effect files and what its model has.", metavar="CARD")
-    ] = None,
+    model: Annotated[str | None, typer.Option(help="A card, for its effect files and model.", metavar="CARD")] = None,
     json: terminal.JsonOption = False,
 ) -> None:
     """List the catalogue of effects, or explain one: claim, formula, parameters, priors, worked example, source.
@@ -230,9 +224,7 @@ def print_effect(effect: Mapping[str, Any]) -> None:
 
 def simulate(
     out: Annotated[Path, typer.Option(help="File to write: .csv .parquet .nc .mat or .asc.")],
-    effect: Annotated[
-        list[str] | None, typer.Option(help="NAME=VALUE, or NAME.PARAMETER=VALUE; in SI or with a unit.")
-    ] = None,
+    effect: Annotated[list[str] | None, typer.Option(help="NAME=VALUE, or NAME.PARAMETER=VALUE; SI or a unit.")] = None,
     manoeuvre: Annotated[Manoeuvre, typer.Option(help="The manoeuvre.")] = "random_stall",
     noise: Annotated[
         SimulatedNoise,

@@ -26,7 +26,8 @@ Share = Fraction | None
 Pair = tuple[Number, Number]
 Band = tuple[float, float]
 Matrix = list[list[Number]]
-Growth = dict[str, Annotated[float, Meta(ge=1)]]
+GROWTH = "By fitted output: residual size in fully separated flow over that in attached flow; it weighs the samples."
+Growth = Annotated[dict[str, Annotated[float, Meta(ge=1)]], Meta(description=GROWTH)]
 TWO, FOUR = Meta(min_length=2), Meta(min_length=4)  # keys, that is all of them
 Gains = Annotated[dict[Literal["elpd", "elpd_se"], Number], TWO]
 Bounded = Annotated[dict[Literal["estimate", "crb_corrected"], Number], TWO]
@@ -95,8 +96,7 @@ class RecordPart(Part):
     samples: int  # how many
     dt: float  # sampling time, s
     duration: float  # s
-    # by channel, also derived ones and the rate of alpha: the flown range (0.1 and 99.9 % quantiles, SI)
-    ranges: dict[str, Pair]
+    ranges: dict[str, Pair]  # by channel, also derived ones: the flown range (0.1 and 99.9 % quantiles, SI)
 
 
 class PathCheckPart(Part):
@@ -226,8 +226,7 @@ class PathOutput(Part):
     bias: Number = field(name="theil_bias")  # share of the mean square error; so are the next two
     variance: Number = field(name="theil_variance")
     covariance: Number = field(name="theil_covariance")
-    # share of the time inside the tolerance; null where the card has none
-    within: Share = field(name="within_tolerance")
+    within: Share = field(name="within_tolerance")  # share of the time inside; null without a tolerance
 
 
 class ComparedOutput(PathOutput):
@@ -240,8 +239,7 @@ class FlownPath(Part):
     """A manoeuvre, simulated with its recorded inputs."""
 
     manoeuvre: str
-    # start: first values of the parameters, from the measured initial state. fitted: the fit, including its initial
-    # state. given: the maximum-likelihood parameters of identify, from the measured initial state.
+    # fitted: with its initial state; from the measured one, start: first values, given: the parameters of identify
     model: Literal["start", "fitted", "given"]
     inside: bool = field(name="inside_envelope")
     outputs: dict[str, PathOutput]
@@ -260,11 +258,9 @@ class ComparedPath(Part):
 class BandEstimate(Part, kw_only=True):
     estimate: float
     crb: Number  # Cramér-Rao standard error; assumes white residuals, in a band one variance at all frequencies
-    # the same, corrected for coloured residuals (Morelli and Klein 1997), in a band with the size of the residuals at
-    # each frequency; contains noise_bias
+    # corrected for coloured residuals (Morelli and Klein 1997), in a band at each frequency; contains noise_bias
     crb_corrected: Number
-    # bias from noise of the recorded signals; it is subtracted from the estimate and the posterior
-    noise_bias: Number | Unset = UNSET
+    noise_bias: Number | Unset = UNSET  # from noise of the recorded signals, subtracted from estimate and posterior
     unit: str
     difference: float | Unset = UNSET  # from the time domain, in standard errors of the difference
 
@@ -403,8 +399,7 @@ class IdentificationDocument(Part, kw_only=True):
     schema: Literal["bayes_aero/results/1"]
     card: CardNames
     records: Records
-    # how coefficients were formed: the same filter on all signals, or as published
-    coefficients: Literal["matched", "published"]
+    coefficients: Literal["matched", "published"]  # the same filter on all signals, or as published
     mle: FitPart
     consistency: ConsistencyPart | Unset = UNSET
     frequency: FrequencyPart | Unset = UNSET
@@ -412,10 +407,8 @@ class IdentificationDocument(Part, kw_only=True):
     next_flight: NextFlightPart | Unset = UNSET
     stall: StallPart | Unset = UNSET
     gpr: ProcessesPart | Unset = UNSET
-    # every manoeuvre, without correction by measurements. Absent if an input channel is missing (a note names it).
-    simulated: list[FlownPath] | Unset = UNSET
-    # only where the records were simulated: the true parameters, SI and radians
-    truth: dict[str, float] | Unset = UNSET
+    simulated: list[FlownPath] | Unset = UNSET  # every manoeuvre; absent if an input is missing (a note names it)
+    truth: dict[str, float] | Unset = UNSET  # only where the records were simulated: the true parameters
     verdict: list[str]
     health: Health
     notes: list[str]
@@ -439,14 +432,13 @@ class BesidePart(Part):
 
 
 class TestPart(Part):
-    # a fitted manoeuvre flown again, a manoeuvre that was not fitted, a fitted manoeuvre on the next flight
-    kind: FlightWord
+    kind: FlightWord  # a fitted manoeuvre again, one that was not fitted, a fitted one on the next flight
     manoeuvre: str
     output: str
     tolerance: float
     probability: float  # with all that is counted
     standard_error: float  # of the Monte Carlo
-    # parameters; structure: with them; gusts: with both, where gusts are counted
+    # by parameters; structure: with them; gusts: with both
     chances: dict[str, Annotated[dict[Literal["value", "error"], float], TWO]] = field(name="counted")
     verdict: ToleranceWord
     within: float  # expected share of the time inside
@@ -488,7 +480,7 @@ class QualificationDocument(Part):
     draws: int  # flights drawn for every test
     tolerances: dict[str, JudgedTolerance]  # by output
     tests: list[TestPart]
-    # channels of the flown region, the convex hull of all fitted samples, and those that were not recorded
+    # channels of the convex hull of all fitted samples, and those that were not recorded
     flown_region: Annotated[dict[Literal["channels", "not_recorded"], list[str]], TWO]
     outside: list[Outside]
     further: FurtherPart | None
@@ -538,15 +530,11 @@ ScoreKey = Literal[
 class GainPart(Part):
     """Measured on hold-out data."""
 
-    # log predictive density gained over the earlier causes that are confirmed, divided by the variance inflation
-    elpd: Number
+    elpd: Number  # log predictive density gained over earlier confirmed causes, over the variance inflation
     elpd_se: Number
     split: Literal["manoeuvre", "block", "not measured"]
-    # coefficients that are predicted worse with it by more than 3 nats and 1.645 standard errors, with that gain: it is
-    # not confirmed
-    degraded: dict[str, Gains]
-    # before = the model on the card, after = with this and every earlier cause that is confirmed; on the coefficients
-    # both with all sensors corrected
+    degraded: dict[str, Gains]  # coefficients predicted worse by over 3 nats and 1.645 standard errors: not confirmed
+    # before = the model on the card, after = with this and every earlier confirmed cause; both with sensors corrected
     by_coefficient: dict[Coefficient, Annotated[dict[ScoreKey, Number], Meta(min_length=8)]]
 
 
@@ -556,29 +544,19 @@ class CausePart(Part):
     claim: str
     stage: Stage
     probability: Share  # among all its possible replacements, absence included
-    # family-wise over all candidates, against noise with the residuals' autocorrelation; null where it entered by
-    # exchange
-    p_value: Share
+    p_value: Share  # family-wise over all candidates, against coloured noise; null where it entered by exchange
     excited: bool  # false if not every manoeuvre excites it
     # removing it degrades hold-out prediction significantly (one-sided, 5 %), and no coefficient is predicted worse
-    # with it. A cause that is not confirmed is named, but is not in the extended model of predictors and trajectories,
-    # nor in the gains of later causes.
+    # with it. Otherwise it is named, but is in neither the extended model nor the gains of later causes.
     confirmed: bool
-    # what is lost when it is removed from the extended model; null if this was not tested
-    missed: Gains = field(name="loss_without")
+    missed: Gains = field(name="loss_without")  # lost without it in the extended model; null if not tested
     sure: bool  # the verdict rests on it: confirmed, probability above one half, not at a bound, of a plausible size
-    # parameters beyond the largest plausible departure from neutral by two standard errors, with that departure
-    implausible: dict[str, float]
-    # share of its contribution to the outputs that no other free parameter can reproduce; below 0.02 the record hardly
-    # excites it
-    own_share: Share
+    implausible: dict[str, float]  # parameters two standard errors beyond the largest plausible departure, with that
+    own_share: Share  # of its contribution to the outputs, that no other parameter reproduces; little below 0.02
     ambiguous_with: list[str]
-    # what a rival in place of the cause has beyond it, everything fitted again; a rival that loses more than 3 nats and
-    # 1.645 standard errors is none
+    # what a rival in its place has beyond it, all fitted again; one that loses over 3 nats and 1.645 deviations is none
     rival_gains: dict[str, Gains]
-    # causes whose estimates are correlated with its own beyond 0.9, with that correlation: neither size holds without
-    # the other
-    joint: dict[str, float]
+    joint: dict[str, float]  # causes whose estimates are correlated with its own beyond 0.9, with that correlation
     parameters: dict[str, CauseSize]
     gain: GainPart
 
@@ -588,16 +566,12 @@ class UnexplainedPart(Part):
 
     coefficient: Output
     channel: str  # a recorded channel, a period in s, a term, or manoeuvre
-    # share of the residual of the extended model; for structure with rivals, of the residual without them
-    share: Number = field(name="share_of_variance")
+    share: Number = field(name="share_of_variance")  # of the residual of the extended model, without the rivals
     p_value: Share
     # more than five effects that would explain it about equally well: the record cannot attribute it. From trajectories
-    # and innovations, terms of other coefficients that fly about as well (COEFFICIENT over TERM). Empty where no effect
-    # explains it.
+    # and innovations, terms of other coefficients that fly about as well (COEFFICIENT over TERM).
     rivals: list[str]
-    # where the constant of the coefficient differs between manoeuvres (channel is manoeuvre): by manoeuvre after the
-    # first, how far it is from that of the first. rivals then explain the offsets about as well. Empty for other
-    # structure.
+    # where the constant differs between manoeuvres (channel is manoeuvre): by manoeuvre, how far it is from the first
     offsets: dict[str, Estimate]
 
 
@@ -613,11 +587,9 @@ class ChangePart(Part):
     before: Estimate
     after: Estimate
     size: Estimate  # of the change
-    # share of the residual of the extended model, of the coefficient of which it explains most
-    share: Number = field(name="share_of_variance")
+    share: Number = field(name="share_of_variance")  # of the residual of the coefficient that it explains most of
     p_value: Share  # family-wise: share of noise-only replicates in which some parameter and moment explain as much
-    # gain in log density of parts of the manoeuvres, each predicted from the others, divided by the variance inflation
-    gain: Number = field(name="elpd")
+    gain: Number = field(name="elpd")  # in log density of parts of the manoeuvres, predicted from the others
     ambiguous_with: list[str]  # parameters whose change, and effects of the catalogue that, would explain about as much
 
 
@@ -626,15 +598,13 @@ class TermPart(Part):
     not include it."""
 
     coefficient: str
-    # a product of factors; qhat, phat, rhat are the card's nondimensional rates, CT is thrust over dynamic pressure and
-    # wing area, X the separation point
-    term: str
+    term: (
+        str  # a product of factors; qhat, phat, rhat: the card's rates, CT: thrust over qbar S, X: the separation point
+    )
     code: str | None  # the expression of an effect file; null where the term depends on the past
     unit: str
     size: Estimate
-    # of what is left of the coefficient without it; from trajectories and innovations, of the output of which it takes
-    # the largest share
-    share: Number = field(name="share_of_variance")
+    share: Number = field(name="share_of_variance")  # of what is left of the coefficient, or of an output, without it
     gain: Number = field(name="elpd")  # gain in log density of left-out folds, divided by the variance inflation
     weight: Share = field(name="probability")  # among all terms of the library; each factor halves the prior one
     ambiguous_with: dict[str, float]  # terms that these records do not tell from it, with their probabilities
@@ -655,7 +625,7 @@ class AbsorbedPart(Part):
     control: str
     estimate: Estimate
     usual: Estimate  # mean and standard deviation of its prior
-    # by effect: with the usual value there would be one of these, as large as given were it the whole cause
+    # by effect: with the usual value there would be one of these, so large were it the whole cause
     sizes: Annotated[dict[str, UsualSize], Meta(min_length=1)]
 
 
@@ -677,8 +647,7 @@ class ScreenedPart(Part):
     kind: Kind
     score: Number  # estimate over a standard error that counts the residuals' autocorrelation
     p_value: Share  # family-wise: share of noise-only replicates in which some candidate scores as high
-    # score that the best candidate exceeds in noise-only replicates as often as the level of selection allows (1 %)
-    threshold: Number
+    threshold: Number  # score that the best candidate exceeds in 1 % of noise-only replicates
     estimate: dict[str, Annotated[dict[Literal["estimate", "sd"], Number], TWO]] = field(name="parameters")
     cause: bool
 
@@ -714,7 +683,7 @@ class CompositionPart(Part):
     theil_variance: Number
     theil_covariance: Number
     lag1: Number
-    # share of residuals (5 Hz means) within the central normal band of that probability
+    # share of residuals (5 Hz means) in the central normal band
     calibration: Annotated[dict[Literal["0.5", "0.9", "0.95"], Share], Meta(min_length=3)]
 
 
@@ -723,8 +692,7 @@ class LagPart(Part):
 
     effect: str
     gain: Number  # gain in log density of the joint fit, with variance inflation; null if it did not converge
-    # the same on hold-out flights, with its standard error; null if the joint fit gains less than 3
-    unseen: Gains = field(name="hold_out")
+    unseen: Gains = field(name="hold_out")  # the same on hold-out flights; null if the joint fit gains less than 3
     kept: bool  # hold-out flights confirm it, with the same test as for causes; the extended model then includes it
     instead: list[str] = field(name="instead_of")  # parameters of hysteresis that it replaces
     slight: bool  # its size is too small to be named; it is then not tested on hold-out flights
@@ -756,17 +724,14 @@ class TrajectoriesPart(Part):
 
     fitted: list[str] | Unset = field(name="fitted_outputs", default=UNSET)
     status: dict[str, str] | Unset = UNSET  # by model: card, extended
-    # by model: parameters at their bound; their standard errors are not reliable
-    at_bound: dict[str, list[str]] | Unset = UNSET
+    at_bound: dict[str, list[str]] | Unset = UNSET  # by model: parameters whose standard errors are not reliable
     variance_inflation: float | Unset = UNSET  # variance inflation from the residuals' autocorrelation
-    # by fitted output: noise growth, the residual size of the extended model in fully separated flow over that in
-    # attached flow; it weighs the samples
     noise_growth: Growth | Unset = UNSET
     lag: LagPart | Unset | None = UNSET  # null if it was not tested
     causes: dict[str, KeptPart] | Unset = UNSET
     tolerances: dict[str, StatedTolerance] | Unset = UNSET
     paths: list[ComparedPath] | Unset = UNSET
-    # causes held at their joint estimate when this manoeuvre is held out: they are not identifiable from the others
+    # causes held at their joint estimate when this manoeuvre is held out
     held: dict[str, list[str]] | Unset = field(name="held_without", default=UNSET)
     parameters: dict[str, FlownEstimate] | Unset = UNSET
 
@@ -778,7 +743,7 @@ class QuestionPart(Part):
 
 
 class DecidingPoint(PointPart):
-    # for each question, by how many the rivals are expected to differ with the records, this point and those before it
+    # for each question, by how many the rivals will differ with the records, this point and those before it
     expected: list[float] = field(name="standard_errors")
     rate: float = field(name="nats_per_second")  # expected information on all that is open
 
@@ -788,8 +753,7 @@ class DecidingPoints(Part):
 
     questions: list[QuestionPart] | Unset = UNSET
     points: list[DecidingPoint] | Unset = UNSET
-    # manoeuvres that leave the envelope with every amplitude and airspeed, or whose input was not recorded
-    refused: dict[str, str] | Unset = UNSET
+    refused: dict[str, str] | Unset = UNSET  # manoeuvres that leave the envelope, or whose input was not recorded
     envelope: dict[str, Pair] | Unset = UNSET  # least and greatest value, SI
     stated: list[str] | Unset = UNSET  # the quantities that the card's [envelope] has
 
@@ -828,8 +792,7 @@ class DiagnosisDocument(Part, kw_only=True):
     tested: TestedPart
     sentences: list[str]  # the findings as printed
     causes: list[CausePart]  # in the order found: sensors on the flight path first, then the coefficients
-    # effects that were found but are too small to be named; in the extended model if hold-out data need them
-    minor: list[str]
+    minor: list[str]  # effects too small to be named; in the extended model if hold-out data need them
     unexplained: list[UnexplainedPart]
     terms: list[TermPart]  # in the order of selection
     changes: list[ChangePart]
@@ -873,8 +836,7 @@ class FittedParameter(Part):
     prior: PriorPart | None  # null where the fit had none
     held_by_prior: bool  # the records contain little information on it
     at_bound: bool
-    # without priors: the records do not determine it; its value is not usable and its standard errors are null
-    undetermined: bool
+    undetermined: bool  # without priors: the records do not determine it; its value is not usable
 
 
 class InitialState(Part):
@@ -890,11 +852,9 @@ class PredictedPart(Part):
     """One-step predictions of all outputs together."""
 
     count: Annotated[int, Meta(ge=2)] = field(name="innovations")  # how many
-    # root mean square of innovations over their predicted standard deviations, and its standard error; 1 if calibrated
-    ratio: Pair
+    ratio: Pair  # root mean square over the predicted one, and its standard error; 1 if calibrated
     shares: list[InsideShare]
-    # not_normal: too narrow at one level, too wide at another; coloured: shares as they must be, but neighbouring
-    # innovations are correlated beyond 0.3
+    # not_normal: too narrow at one level, too wide at another; coloured: neighbours are correlated beyond 0.3
     calibration: CalibrationWord = field(name="status")
 
 
@@ -923,9 +883,8 @@ class ProcessNoisePart(Part):
     F: dict[str, Size]  # process noise by state, unit of the state per square root of a second; 0: none
     noise_sd: dict[str, Size]  # standard deviation of the measurement noise by output
     autocorrelation: dict[str, float]  # of neighbouring innovations by output; near 0 if the disturbance is as modelled
-    # intensity (m/s) and scale length (m) of gusts, and of buffet (lift coefficient of fully separated flow; chords)
-    # where the model separates, by parameter: estimate and standard error; empty for a linear system. gusts.csv has
-    # their histories.
+    # intensity (m/s) and scale length (m) of gusts, and of buffet (lift coefficient of fully separated flow; chords) by
+    # parameter: estimate and standard error; empty for a linear system. gusts.csv has their histories.
     gusts: dict[str, Pair]
     covariance: Matrix | None  # of the estimates, in their order
     one_step: OneStepPart | None  # null where the fit did not converge
@@ -974,19 +933,13 @@ class TrajectoriesDocument(Part, kw_only=True):
     status: Literal["converged", "at_bound", "not_converged", "left_envelope"]
     converged: bool  # false: do not use the numbers; the program's exit status is 1
     sentences: list[str]  # the findings as printed
-    # outputs that the fit compares; the altitude of a model of effects is reported only, unless it was asked for
-    fitted_outputs: list[str]
-    # length of the windows that were fitted before whole manoeuvres, s
-    window: Annotated[float, Meta(gt=0)] = field(name="windows")
+    fitted_outputs: list[str]  # that the fit compares; the altitude is reported only, unless it was asked for
+    window: Annotated[float, Meta(gt=0)] = field(name="windows")  # of the windows fitted before whole manoeuvres, s
     setting: SettingPart
     iterations: Annotated[int, Meta(ge=0)]  # of the last fit
     cost: Number  # half the samples times log det R, with the priors
-    # determinant of the diagonal residual covariance over the fitted outputs: the cost that published programs print
-    det_R: Number
-    # variance inflation from the residuals' autocorrelation, in the median of the parameters; it also weighs the priors
-    variance_inflation: Number
-    # by fitted output: noise growth, the residual size in fully separated flow over that in attached flow; it weighs
-    # the samples. Empty if the simulation left the envelope.
+    det_R: Number  # determinant of the diagonal residual covariance: the cost that published programs print
+    variance_inflation: Number  # from the residuals' autocorrelation, the parameters' median; it weighs the priors
     noise_growth: Growth
     parameters: dict[str, FittedParameter]
     covariance: Matrix  # of the estimates in the order of parameters, corrected for coloured residuals, priors counted

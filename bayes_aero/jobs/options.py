@@ -91,9 +91,7 @@ class IdentifyOptions(Options):
     frequency: tuple[float, float] | None = _frequency()
     sample: bool = option(True, "Sample the posterior; otherwise maximum likelihood with its bounds only.")
     gp: bool = option(True, "Train the Gaussian processes.")
-    next_flight: bool = option(
-        False, "Pool the manoeuvres: scatter of parameters between them, and a flight not yet flown.", flag=True
-    )
+    next_flight: bool = option(False, "Pool the manoeuvres: scatter between them, and the next flight.", flag=True)
     figures: bool = option(True, "Draw the figures.")
     page: bool = option(True, name=None)
 
@@ -105,14 +103,10 @@ class DiagnoseOptions(Options):
     SETTINGS = ("max_effects", "process_noise")
     seed: int = _seed()
     max_effects: int = option(8, "Effects that each stage may add to the model.", min=1)
-    test_points: bool = option(
-        True, "Propose manoeuvres that decide what is open; fit causes in a band of frequencies."
-    )
+    test_points: bool = option(True, "Propose manoeuvres that decide what is open; fit causes in a band.")
     trajectories: bool = option(True, "Simulate the card's and the extended model with the recorded inputs.")
     figures: bool = option(True, "Draw the figures.")
-    process_noise: bool | None = option(
-        None, "Estimate gusts, and search in what a filter does not foresee; default: if there are gusts."
-    )
+    process_noise: bool | None = option(None, "Estimate gusts, search in innovations; default: if there are gusts.")
 
 
 @dataclass(frozen=True)
@@ -140,25 +134,11 @@ class FlyOptions(Options):
     SETTINGS = ("windows", "initial_state", "priors", "inputs", "posterior", "process_noise", "frequency")
     APART = ("seed", "flight_path")
     windows: float = option(12.0, "Length of the windows that are fitted before whole manoeuvres, in s.")
-    initial_state: str = option(
-        FREE,
-        "free: fitted for each manoeuvre; fixed: initial_state of the card's section fly, or the first sample.",
-        kind=InitialStateName,
-    )
+    initial_state: str = option(FREE, "free: fitted; fixed: the card's, or the first sample.", kind=InitialStateName)
     priors: bool = option(True, "--no-priors: a fit without priors of parameters and initial states.")
-    outputs: Names = option(
-        None, "Outputs to compare, e.g. alpha,q,q_dot; default: the card's, or all but q_dot.", metavar="NAME,NAME"
-    )
-    inputs: str = option(
-        LINEAR,
-        "Inputs between samples: linear, for recorded positions; held, for commands held until the next sample.",
-        kind=InputsName,
-    )
-    process_noise: bool | None = option(
-        None,
-        "Fit the same model with process noise, too (extended Kalman filter); default: if there are gusts, or if "
-        "output error and the coefficients disagree.",
-    )
+    outputs: Names = option(None, "Outputs to compare; default: the card's, or all but q_dot.", metavar="NAME,NAME")
+    inputs: str = option(LINEAR, "Inputs between samples: linear, or held until the next one.", kind=InputsName)
+    process_noise: bool | None = option(None, "Fit with process noise, too; default: in gusts, or if fits disagree.")
     posterior: bool = option(False, "With --process-noise: sample the posterior, too (NUTS and emcee).", flag=True)
     frequency: tuple[float, float] | None = _frequency()
     seed: int = _seed()
@@ -193,14 +173,8 @@ class PathOptions(Options):
 
     initial_state: InitialStateName = option(FREE, "free: fitted for each manoeuvre; fixed: the first sample.")
     priors: bool = option(True, "--no-priors: a fit without priors.")
-    outputs: Names = option(
-        None, "Outputs to compare, e.g. airspeed,alpha,theta; default: all recorded.", metavar="NAME,NAME"
-    )
-    process_noise: bool = option(
-        False,
-        "Fit again with gusts and the noise of accelerometers and gyros, by an extended Kalman filter.",
-        flag=True,
-    )
+    outputs: Names = option(None, "Outputs to compare; default: all recorded.", metavar="NAME,NAME")
+    process_noise: bool = option(False, "Fit again with gusts and process noise (a Kalman filter).", flag=True)
     figures: bool = option(True, "Draw the figures.")
 
     @property
@@ -212,16 +186,10 @@ class PathOptions(Options):
 class QualifyOptions(Options):
     """What a qualification may be told; `fitted` are files of the records of the result."""
 
-    card: str | None = option(
-        None, "The card of the result, where it is not found by itself.", name="model", metavar="CARD"
-    )
-    fitted: tuple[Path, ...] = option(
-        (), "A record of the result, where they are not found by themselves; once for each.", kind=list[Path] | None
-    )
+    card: str | None = option(None, "The card of the result, where it is not found.", name="model", metavar="CARD")
+    fitted: tuple[Path, ...] = option((), "A record of the result; once for each.", kind=list[Path] | None)
     draws: int = option(DRAWS, "Flights drawn for every test.")
-    gusts: float | None = option(
-        None, "Intensity of gusts in m/s (standard deviation); default: those that fly has estimated."
-    )
+    gusts: float | None = option(None, "Intensity of gusts, m/s; default: those that fly has estimated.")
     seed: int = _seed()
 
     def __post_init__(self) -> None:
