@@ -307,7 +307,6 @@ def qualify(
 # --- bayes-aero run.
 
 SILENCE = 15.0  # seconds without workers after which that is reported also where there is no terminal
-SCHEMA = "bayes_aero/study/1"
 
 
 def run(
@@ -353,10 +352,8 @@ def run(
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give another folder with --out")
     planned = plan(asked, folder)
-    console = terminal.teller(quiet=json)
-    rows: dict[str, dict[str, Any]] = {}
-    for p in planned:
-        rows[p.unit.name] = {"name": p.unit.name, **asdict(p.state), "seconds": None, "error": p.state.why}
+    console, states = terminal.teller(quiet=json), [(p.unit, p.state) for p in planned]
+    rows = {u.name: {"name": u.name, **asdict(s), "seconds": None, "error": s.why} for u, s in states}
     code = 0
     if dry_run:
         print_plan(console, list(rows.values()))
@@ -368,8 +365,8 @@ def run(
     if json:
         counts = dict(Counter(row["state"] for row in rows.values()))
         about = {"file": asked.path.name, "title": asked.title, "task": asked.task, "sha256": asked.sha256}
-        told = {"schema": SCHEMA, "study": about, "out": str(folder), "counts": counts, "units": list(rows.values())}
-        terminal.print_json(told)
+        told = {"study": about, "out": str(folder), "counts": counts, "units": list(rows.values())}
+        terminal.print_json({"schema": "bayes_aero/study/1"} | told)
     raise typer.Exit(code)
 
 

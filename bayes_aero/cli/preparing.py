@@ -22,8 +22,6 @@ from bayes_aero.simulate import Manoeuvre, SimulatedNoise
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import CheckReport
 
-EFFECTS = "bayes_aero/effects/1"
-
 
 @terminal.with_options
 def check(
@@ -132,10 +130,7 @@ def card(
         console.print(f"To be filled in ({len(starter.todo)}): {', '.join(name for name, _ in starter.todo)}.")
     if starter.blind:
         which = "it" if len(starter.blind) == 1 else "them"
-        console.print(
-            f"Not found: {', '.join(starter.blind)}. identify needs {which}; diagnose works without {which}, with "
-            f"less information."
-        )
+        console.print(f"Not found: {', '.join(starter.blind)}. identify needs {which}; diagnose works without {which}.")
     if report is not None:
         console.print(f"The report is in {report}", soft_wrap=True)
     console.print(f"Then: bayes-aero check {record} --model {target}", soft_wrap=True)
@@ -171,7 +166,7 @@ def effects(
     chosen = known.values() if name is None else [effect_named(name, known)]
     found = [effect_facts(effect, card) for effect in chosen]
     if json:
-        terminal.print_json({"schema": EFFECTS, "effects": found})
+        terminal.print_json({"schema": "bayes_aero/effects/1", "effects": found})
     elif name is None:
         print_table(found)
     else:

@@ -224,16 +224,12 @@ def working(out: Path, first: str = "reading") -> Iterator[Progress]:
 # --- Options of the command line that are gone: one row each, told before the command line is parsed.
 
 GONE: tuple[tuple[str, str, str], ...] = (
-    (
-        "diagnose",
-        "--predictors/--no-predictors",
-        "predictors are no longer compared; use --no-test-points to leave out the manoeuvres that decide what is open",
-    ),
+    ("diagnose", "--predictors/--no-predictors", "predictors are no longer compared; see --no-test-points"),
     ("fly", "--drift", "run diagnose, which says whether a parameter changed, when and by how much"),
     (
         "identify",
         "--approximate-gp",
-        "Gaussian processes are exact; give shorter parts of the records (FILE@FROM:TO) or a longer --resample",
+        "processes are exact; give parts of records (FILE@FROM:TO) or a longer --resample",
     ),
     ("run", "--verify", "run the study again with another --out and compare the two summary.csv"),
     ("simulate", "--page/--no-page", "run check on the record with --out for a page of it"),

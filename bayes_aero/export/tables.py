@@ -26,7 +26,6 @@ from bayes_aero.model.model import Model
 ACCURACY = 1e-4  # of a table's range, of linear interpolation along each axis
 MOST_CELLS = 1_000_000
 MOST_WITH_DRAWS = 20_000_000
-POINT_RANGE = (0.0, 1.0)
 INCIDENCE = "incidence"
 
 
@@ -141,7 +140,7 @@ def _range(found: Identified, axis: str, incidences: Mapping[str, Sequence[Gridd
         reach = [np.sum([(t.values.min(), t.values.max()) for t in tables], axis=0) for tables in incidences.values()]
         return float(min(low for low, _ in reach)), float(max(high for _, high in reach))
     if axis in found.points:
-        return POINT_RANGE
+        return (0.0, 1.0)
     if axis not in found.flown:
         raise InputError(f"{found.name}: the flown range of {axis} is not known; export a result of this version")
     low, high = found.flown[axis]

@@ -82,15 +82,13 @@ def spike_notes(count: Mapping[str, int]) -> tuple[str, ...]:
 
 # --- What records allow, told before anything is fitted: which command can use them, and why another one cannot.
 
-DERIVED = ("alpha_dot",)  # formed from recorded channels
-
 
 def usable_for(records: Sequence[FlightRecord], card: Card) -> dict[str, str]:
     """Why each command that the card serves cannot use the records, by command; empty where it can."""
     have = available(records, card)
     if card.linear is not None:
         return {"fly": _lacks([n for n in (*card.linear.states, *card.linear.inputs) if n not in have])}
-    asked = [n for n in Model.from_card(card).channels if n not in DERIVED]
+    asked = [n for n in Model.from_card(card).channels if n != "alpha_dot"]  # which is formed
     missing = [n for n in dict.fromkeys((*required_of(card.axes), *asked)) if n not in have]
     flown = [n for n in dict.fromkeys((*needed_channels(card.axes), *asked)) if n not in have]
     uses = {"identify": _lacks(missing), "diagnose": _lacks(missing), "fly": _lacks(flown)}
@@ -113,8 +111,6 @@ def _lacks(missing: Sequence[str]) -> str:
 
 
 # --- The command.
-
-SCHEMA = "bayes_aero/check/1"
 
 
 def check_records(
@@ -182,7 +178,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
         records.append(about | {"sha256": None if r.record is None else r.record.sha256, "usable": not r.problems})
     unchecked = report.consistency.agreement is Agreement.NOT_CHECKED
     return {
-        "schema": SCHEMA,
+        "schema": "bayes_aero/check/1",
         "usable": report.usable,
         "card": picked(card, "name", "title", "sha256"),
         "constants": card.constants,

@@ -783,11 +783,10 @@ class DiagnosisDocument(Part, kw_only=True):
     records: Records
     consistency: ConsistencyPart
     # no_effect: no significant model error is detectable. explained: sure causes, nothing else is significant.
-    # partly_explained: sure causes, and structure without one, or a parameter that changes. unexplained: structure, or
-    # a parameter that changes, without a sure cause. undecided: no cause is significant, but the derivative of a
-    # control at rest may have taken up an effect (see absorbed and test_points). From trajectories alone, errors beyond
-    # the sensors' noise, or errors that were not computed, forbid explained; undecided: no cause is significant, but
-    # such errors remain, which disturbed air leaves as well (see tested).
+    # partly_explained: sure causes, and structure without one, or a parameter that changes. unexplained: these without
+    # a sure cause. undecided: no cause is significant, but the derivative of a control at rest may have taken up an
+    # effect (see absorbed and test_points), or, from trajectories alone, errors beyond the sensors' noise remain, which
+    # disturbed air leaves as well (see tested); these forbid explained.
     verdict: Literal["no_effect", "explained", "partly_explained", "unexplained", "undecided"]
     tested: TestedPart
     sentences: list[str]  # the findings as printed

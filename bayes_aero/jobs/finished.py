@@ -351,7 +351,6 @@ Finished = Identified | IdentifiedLinear
 
 # --- The job of `bayes-aero export`: an identified model in the form of another simulator, in a folder of its own.
 
-SCHEMA = "bayes_aero/export/1"
 WIDTH = 100
 
 
@@ -423,7 +422,7 @@ FORMS: dict[str, Callable[[Identified, Path], tuple[str, ...]]] = {
 def export_facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[str, Any]:
     read = found.program.inputs_of("parameter")
     return {
-        "schema": SCHEMA,
+        "schema": "bayes_aero/export/1",
         **picked(found, "name", "title"),
         "form": form,
         "version": f"bayes_aero {__version__}",

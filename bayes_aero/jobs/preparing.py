@@ -143,8 +143,6 @@ def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
 
 # --- The job of `bayes-aero simulate`: a record on disk, with its truth beside it.
 
-TRUTH_SCHEMA = "bayes_aero/truth/1"
-
 
 def simulate_file(
     request: Request, card: Card, known: Mapping[str, Effect], out: Path
@@ -168,7 +166,7 @@ def simulate_file(
     source = provenance(card, [record], request.seed, {k: v for k, v in asked.items() if k not in ("effects", "seed")})
     del source["inputs"]
     truth = {
-        "schema": TRUTH_SCHEMA,
+        "schema": "bayes_aero/truth/1",
         "file": {"name": out.name, "sha256": sha256_of(out)},
         "seed": request.seed,
         "effects": request.effects,

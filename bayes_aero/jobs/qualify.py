@@ -249,10 +249,7 @@ def uncertain(
         fit = fit_output_error(flown, start=estimate, max_iterations=0)
         inflation = trajectory_variance_inflation(fit)
         values = posterior_draws(fit, inflation, options.seed, count)
-        origin = (
-            "Normal distribution about the estimates; the covariance is that of the trajectories at these values, for "
-            f"coloured residuals (variances times {inflation:.3g})."
-        )
+        origin = f"Normal distribution about the estimates, by the trajectories (variances times {inflation:.3g})."
     else:  # what the result does not determine stays at its estimate
         found = drawn(source, names, count, options.seed)
         values = np.tile(estimate, (count, 1))
@@ -301,10 +298,7 @@ def between_manoeuvres(
     held = hold_out(flown, without, inflation, seed)
     following, why_not = None, "Not counted: fewer than two manoeuvres have a usable fit of their own."
     if flat:
-        why_not = (
-            f"Not counted by itself: the card states no prior of {several(flat)}, and the scatter between manoeuvres "
-            "is sought in units of the priors. The errors of manoeuvres left out hold it."
-        )
+        why_not = f"Not counted by itself: the card states no prior of {several(flat)}, in units of which it is sought."
     else:
         if progress:
             progress("scatter between manoeuvres", 0.5)

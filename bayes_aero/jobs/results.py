@@ -390,7 +390,6 @@ def fly_results(
 # --- histories.nc: the time histories behind the numbers of a run, to be laid over those of another tool. SI, radians.
 
 HISTORIES = "histories.nc"
-SCHEMA = "bayes_aero/histories/1"
 ENGINE = "h5netcdf"
 Histories = Mapping[str, xr.Dataset]
 """Groups of the file by name: manoeuvres end to end, `manoeuvre` the number of each sample's, from 1 as in `names`."""
@@ -455,7 +454,7 @@ def put_histories(make: Callable[[], Histories], folder: Path) -> tuple[str, ...
     path = folder / HISTORIES
     try:
         groups = make()
-        tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"schema": SCHEMA}), **groups})
+        tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"schema": "bayes_aero/histories/1"}), **groups})
         small = {"zlib": True, "complevel": 1}
         encoding = {f"/{key}": {str(name): small for name in group.data_vars} for key, group in groups.items()}
         write_whole(tree.to_netcdf(engine=ENGINE, encoding=encoding), path)

@@ -136,8 +136,6 @@ class Growing(Generic[Result]):
 
 # --- The exact environment of a run, so that it can be restored: every installed version, Python, platform.
 
-OWN = "bayes-aero"
-
 
 @cache
 def environment() -> dict[str, Any]:
@@ -145,7 +143,7 @@ def environment() -> dict[str, Any]:
     packages = {}
     for distribution in metadata.distributions():
         name = distribution.metadata["Name"]
-        if name and name.lower().replace("_", "-") != OWN:
+        if name and name.lower().replace("_", "-") != "bayes-aero":
             packages[name] = distribution.version
     root, digest = Path(bayes_aero.__file__).parent, hashlib.sha256()
     for path in sorted(root.rglob("*.py")):

@@ -253,15 +253,13 @@ SHORTEST, MOST_SAMPLES = 5.0, 200_000
 BUFFET = 2.0  # growth of the disturbance with 1 - X
 BEFORE, AFTER = 5.0, 2.0  # s flown beyond both ends: to settle, and for what reaches across them
 
-Chosen = Mapping[str, Mapping[str, float]]
-
 
 @dataclass(frozen=True)
 class Request:
     """What to simulate: `effects` by name with true values (SI), the manoeuvre, its noise and sampling (s). `amplitude`
     multiplies the inputs of a standard manoeuvre."""
 
-    effects: Chosen
+    effects: Mapping[str, Mapping[str, float]]
     manoeuvre: str = RANDOM_STALL
     noise: str = "ar1"
     noise_scale: float = 1.0

@@ -154,10 +154,8 @@ def _flights(
 def flyable(
     names: Sequence[str], *, seed: int, largest: float = 10.0, **options: Any
 ) -> tuple[dict[str, dict[str, float]], list[HiddenFlight]]:
-    """Effects of these names at random sizes, and the flights in which they hide.
-
-    Sizes with which the flight leaves its envelope are drawn again from a range half as wide in its logarithm.
-    """
+    """Effects of these names at random sizes, and the flights in which they hide. Sizes with which a flight leaves its
+    envelope are drawn again from a range half as wide in its logarithm."""
 
     def hidden(attempt: int):
         rng = np.random.default_rng([seed, 3, attempt])
@@ -168,11 +166,8 @@ def flyable(
 
 
 def draw_hidden(rng: np.random.Generator, name: str, largest: float = 10.0) -> dict[str, float]:
-    """True values of a catalogue effect: departure uniform in its logarithm within `sizes`, either sign where allowed.
-
-    No departure is more than `largest` times the least worth modelling. The terms of the base aircraft are in every
-    flight; for them the dictionary is empty.
-    """
+    """True values of a catalogue effect: departure uniform in its logarithm within `sizes`, either sign where allowed,
+    at most `largest` times the least worth modelling; none of the terms of the base aircraft, which all flights have."""
     effect, values = _known(name), {}
     for parameter in effect.parameters:
         if demo.TRUTH.get(parameter.name, parameter.neutral) != parameter.neutral:

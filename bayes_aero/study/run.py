@@ -262,7 +262,6 @@ def checked_options(given: dict[str, Any], task: str, where: str) -> dict[str, A
 
 # --- Whether a unit is up to date, and how it is run.
 
-SCHEMA = "bayes_aero/unit/1"
 MANIFEST = "unit.json"
 MIN_FREE_BYTES = 1 << 20  # of the disk, below which no unit starts
 Task = Callable[[Unit, Path, Progress | None], None]
@@ -343,7 +342,7 @@ def run_unit(
         seconds, state = round(time.perf_counter() - began, 2), "failed" if error else "done"
         files = sorted(p for p in partial.rglob("*") if p.is_file())
         content = {
-            "schema": SCHEMA,
+            "schema": "bayes_aero/unit/1",
             "state": state,
             "error": error,
             "name": unit.name,
@@ -517,7 +516,6 @@ def result_rows(task: str, found: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 def put_report(study: Study, out: Path) -> tuple[str, tuple[str, ...]]:
     """Write the page into the results folder; return its verdict, and sentences on parts that could not be made."""
-
     here = environment()
     facts = {
         "Study": f"{study.path.name}, SHA-256 {study.sha256}",
