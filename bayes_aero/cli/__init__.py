@@ -48,9 +48,7 @@ def _version(asked: bool) -> bool:
 
 @app.callback()
 def _options(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="The version.")] = False,
 ) -> None:
     """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
 

@@ -313,9 +313,7 @@ def run(
     study: Annotated[Path, typer.Argument(help="A study (.toml).")],
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: STUDY_results, here.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the units and their state; do nothing.")] = False,
-    trust_effects: Annotated[
-        bool, typer.Option("--trust-effects", help="Run its cards' effect files; read them.")
-    ] = False,
+    trust_effects: Annotated[bool, typer.Option("--trust-effects", help="Run its effect files; read them.")] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Number of processes on this machine.")] = None,
     memory: Annotated[str | None, typer.Option(help="For each worker, e.g. 4GiB; default: an equal share.")] = None,
     scheduler: Annotated[str | None, typer.Option(help="A Dask cluster, e.g. tcp://node1:8786.")] = None,

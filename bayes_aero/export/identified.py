@@ -119,7 +119,6 @@ class Builder:
 
 
 def terms(program: Program, output: str) -> Iterable[tuple[float, Operand]]:
-    """The summands of an output with their signs."""
     by_name = {step.name: step for step in program.steps}
     waiting: list[tuple[float, Operand]] = [(1.0, program.outputs[output])]
     while waiting:
@@ -308,7 +307,6 @@ class Identified:
 
     @property
     def inputs(self) -> dict[str, float]:
-        """Values of the parameters and of the aircraft's constants, as inputs of a program."""
         found = {f"parameter.{name}": float(x) for name, x in self.values.items()}
 
         def keep(name: str, x: Any) -> float:

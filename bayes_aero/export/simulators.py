@@ -37,7 +37,6 @@ Node = Element
 
 
 def element(tag: str, *content: Node | str, **attributes: str) -> Node:
-    """An element with others, or a text, in it."""
     node = Element(tag, attributes)
     node.extend(x for x in content if not isinstance(x, str))
     node.text = "".join(x for x in content if isinstance(x, str)) or None
@@ -141,7 +140,6 @@ THRUST = f"{PREFIX}/input/thrust-N"
 
 
 def aerodynamics_xml(found: Identified) -> str:
-    """The aerodynamics section: signals in SI, coefficients, and forces and moments in body axes."""
     root = Element("aerodynamics")
     root.append(Comment("\n" + "\n".join(re.sub("-{2,}", "-", line) for line in about(found)) + "\n"))
     program = found.program.giving({name: x for name, x in found.program.outputs.items() if name != "lag"})
@@ -308,7 +306,6 @@ def _text(root: Node) -> str:
 
 
 def jsbsim_files(found: Identified) -> Mapping[str, str]:
-    """Files by their place below the folder of an export: a root directory of JSBSim."""
     for name in (*found.program.inputs_of("signal"), *found.program.inputs_of("parameter")):
         if not re.fullmatch(NAME, name):
             raise InputError(f"{name} cannot be a property of JSBSim; give it another name")

@@ -102,7 +102,6 @@ def _only(model: Model, stage: Stage, increments: Any) -> Model:
 
 
 def write_tables(found: Identified, folder: Path) -> tuple[str, ...]:
-    """Write tables.nc, and a CSV file of each table; the names of the files."""
     made = list(tables_of(found))
     root = xr.Dataset(attrs={"about": "\n".join(about(found)), "sum": "a coefficient is the sum of its tables"})
     tree = xr.DataTree.from_dict({"/": root, **{table.name: _dataset(found, table) for table in made}})
@@ -148,7 +147,6 @@ def _range(found: Identified, axis: str, incidences: Mapping[str, Sequence[Gridd
 
 
 def _dataset(found: Identified, table: Gridded) -> xr.Dataset:
-    """The table with units, its error, and its values for each draw."""
     dims, unit_of, drawn = tuple(table.axes), _unit_of(table.output), found.draws
     about_table = {"units": unit_of, "output": table.output, "interpolation_error": table.error}
     coords = {n: (n, x, {"units": _unit_of(n), "long_name": meaning(n)}) for n, x in table.axes.items()}

@@ -139,10 +139,8 @@ def follow_up(
             kept.keep(view={"diagnosis": with_tested(diagnosis, flown, records, card)})
             if not options.trajectories and diagnosis.causes:
                 kept.keep(["Without trajectories no cause was tested on hold-out flights."])
-        elif (flown := kept.result.view.trajectories) and (
-            doubtful := sensors_not_missed(diagnosis, flown.asked)
-        ).missed:
-            kept.keep(view={"diagnosis": judged_on_held_out_flights(diagnosis, doubtful)})
+        elif (flown := kept.result.view.trajectories) and (doubt := sensors_not_missed(diagnosis, flown.asked)).missed:
+            kept.keep(view={"diagnosis": judged_on_held_out_flights(diagnosis, doubt)})
         drawn = following()
     if kept.out is not None:
         drawn |= drawings(kept, late, progress)
@@ -218,7 +216,6 @@ def follow(
 
 
 def drawings(kept: ResultStore, figures: ViewFigures, tell: Progress | None) -> dict[str, Path]:
-    """Draw `figures` of what was found so far: paths by name; a note for each that failed."""
     view = kept.result.view
     if not figures or kept.out is None or not isinstance(view, View):
         return {}
@@ -278,7 +275,6 @@ def open_sets(diagnosis: Diagnosis) -> dict[frozenset[str], dict[str, float]]:
 def simulations(
     diagnosis: Diagnosis, card: Card, records: Sequence[FlightRecord], seed: int, progress: Progress | None = None
 ) -> Trajectories:
-    """Simulate the card's and the extended model with the records' inputs, fitted to all and on hold-out flights."""
     bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
     flights = despiked(join(records, card, FLIGHT))[0]
     return compare_trajectories(flights, diagnosis, bands, biases=card.output_biases, seed=seed, progress=progress)

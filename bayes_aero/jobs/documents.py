@@ -150,7 +150,7 @@ class ConsistencyPart(Part):
 
 Records = Annotated[list[RecordPart], Meta(min_length=1)]
 Health = Annotated[
-    list[HealthFinding], Meta(description="Faults of the records' channels, as printed first; empty for sound records.")
+    list[HealthFinding], Meta(description="Faults of channels, as printed first; empty for sound records.")
 ]
 Provenance = Annotated[
     dict[str, Any],
@@ -353,8 +353,7 @@ class NextParameter(Part):
 
 
 class NextFlightPart(Part):
-    """With --next-flight: parameters of a manoeuvre scatter around the aircraft's. Manoeuvres enter by the normal
-    approximation of their own fit."""
+    """With --next-flight: manoeuvres, each by the normal approximation of its own fit, scatter around the aircraft."""
 
     likelihood: Literal["normal approximation"]
     manoeuvres: list[str]
@@ -470,8 +469,7 @@ class FurtherPart(Part):
 
 
 class QualificationDocument(Part):
-    """SI units and radians. A probability is that of a flight that stays inside the tolerance about the simulation from
-    start to end."""
+    """SI units and radians. A probability is that of a flight inside the tolerance from start to end."""
 
     schema: Literal["bayes_aero/qualification/2"]
     card: CardNames
@@ -594,13 +592,10 @@ class ChangePart(Part):
 
 
 class TermPart(Part):
-    """A form of unexplained structure: the coefficient has size times the term, beside the extended model, which does
-    not include it."""
+    """A form of unexplained structure: size times the term, beside the extended model, which does not include it."""
 
     coefficient: str
-    term: (
-        str  # a product of factors; qhat, phat, rhat: the card's rates, CT: thrust over qbar S, X: the separation point
-    )
+    term: str  # a product of factors; qhat, phat, rhat: the card's rates, CT: thrust over qbar S, X: separation point
     code: str | None  # the expression of an effect file; null where the term depends on the past
     unit: str
     size: Estimate
@@ -672,8 +667,7 @@ class CovariancePart(Part):
 
 
 class CompositionPart(Part):
-    """All manoeuvres fitted jointly (the noise may grow with separation, which gives the stall itself less weight than
-    the published fit), scored at the recorded rate."""
+    """All manoeuvres fitted jointly (with noise that may grow with separation), scored at the recorded rate."""
 
     r: Number
     rmse: Number
@@ -699,9 +693,8 @@ class LagPart(Part):
 
 
 class KeptPart(Part):
-    """A cause tested on hold-out flights: the loss of log density when it is removed, with variance inflation (to first
-    order where that is beyond five deviations; null if the flight leaves its envelope without it). Not kept: the
-    simulated model omits it. A cause of which one flight alone tells is not asked, and stays."""
+    """A cause tested on hold-out flights: the loss of log density when it is removed, with variance inflation (null if
+    the flight leaves its envelope without it). Not kept: the simulated model omits it."""
 
     elpd: Number
     elpd_se: Number
@@ -872,8 +865,7 @@ class OneStepPart(Part):
 
 
 class ProcessNoisePart(Part):
-    """The same model with process noise, by an extended Kalman filter: only if it was asked for. SI and radians;
-    standard errors for white innovations."""
+    """The same model with process noise, by an extended Kalman filter; standard errors for white innovations."""
 
     status: str
     converged: bool
@@ -890,8 +882,7 @@ class ProcessNoisePart(Part):
 
 
 class FlownPosterior(Part):
-    """The posterior of the fit with process noise by both samplers, only if it was asked for: marginals of the
-    parameters, of F_state (process noise) and of sigma_output (standard deviation of the measurement noise)."""
+    """Marginals, with process noise, of parameters, of F_state, and of sigma_output (of the measurement noise)."""
 
     nuts: dict[str, MarginalPart]
     emcee: dict[str, MarginalPart]

@@ -116,7 +116,6 @@ class FinishedResult:
 
 @contextmanager
 def as_written(file: Path) -> Iterator[None]:
-    """What a result lacks is reported by its file."""
     try:
         yield
     except (KeyError, TypeError, AttributeError, ValueError) as reason:
@@ -125,13 +124,11 @@ def as_written(file: Path) -> Iterator[None]:
         raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
 
 
-def read_finished(
-    given: str, card: str | None = None, no_card: str = "; give the folder of a result of identify, fly or diagnose"
-) -> FinishedResult:
-    """The result in a folder or file; `card`: where it is not found by itself. A card is refused with `no_card`."""
+def read_finished(given: str, card: str | None = None) -> FinishedResult:
+    """The result in a folder or file; `card`: where it is not found by itself."""
     file = result_file(given)
     if file is None:
-        raise InputError(f"{given} is a card{no_card}")
+        raise InputError(f"{given} is a card; give the folder of a result of identify, fly or diagnose")
     told = read_result(file)
     with as_written(file):
         made_with = card_of(told["provenance"], file, card)
@@ -156,7 +153,6 @@ def read_identified(given: str, card: str | None = None) -> tuple[Identified, Fi
 
 
 def model_of_result(told: Mapping[str, Any], file: Path, card: Card) -> Finished:
-    """The model at the values of a result, with where these come from and the ranges that were flown."""
     estimates, causes, how = estimates_of(told, file)
     source = told["provenance"]
     records = ", ".join(f"{row['name']} (sha256 {row['sha256'][:16]})" for row in source["inputs"])

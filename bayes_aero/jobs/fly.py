@@ -173,7 +173,6 @@ class FlightStore(Growing[Flight]):
         write_json(fly_results(found, self.card, self.records, self.source), out / RESULTS)
 
     def sample(self, sample: Sampling) -> None:
-        """The posterior by each sampler, which takes minutes, and what is said of its chains."""
         begun, posteriors = self.result, {}
         for engine in ENGINES:
             new = self.attempt("The posterior was not sampled", partial(sample, engine), {})
@@ -228,7 +227,6 @@ def setting_of(options: FlyOptions, card: Card) -> Setting:
 
 
 def coefficient_fit(records: Sequence[FlightRecord], card: Card, seed: int) -> MleResult | None:
-    """The fit of the coefficients, as `identify` does it, where they can be formed."""
     model, (without_spikes, _) = Model.from_card(card), repaired(records)
     try:
         found = fit_mle(model, observe(without_spikes, card, model), seed=seed)
@@ -379,9 +377,7 @@ def corrected_records(records: Sequence[FlightRecord], flown: TrajectoryFit) -> 
     found, begin = [], 0
     for record, length in zip(records, flights.lengths, strict=True):
         part = slice(begin, begin + length)
-        changed = {
-            n: np.asarray(x[part]) for n, x in true.items() if n in record.channels and x is not flights.channels[n]
-        }
-        found.append(replace(record, channels={**record.channels, **changed}))
+        new = {n: np.asarray(x[part]) for n, x in true.items() if n in record.channels and x is not flights.channels[n]}
+        found.append(replace(record, channels={**record.channels, **new}))
         begin += length
     return found

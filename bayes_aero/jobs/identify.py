@@ -210,7 +210,6 @@ class IdentificationJob(Growing[Identification]):
                 self.keep(found[1], posteriors=self.result.posteriors | {key: found[0]})
 
     def train_gp(self) -> None:
-        """Gaussian processes beside maximum likelihood; too many samples for the exact process are a note."""
         training = Training(self.options.split, self.options.seed)
         asked = (self.model, self.observations, self.result.mle, self.card.gp_inputs, training, self.progress)
         report = self.stage("gp", "Gaussian process left out", partial(validate, *asked), bad="{}: {}")
@@ -237,7 +236,6 @@ class IdentificationJob(Growing[Identification]):
 def sampled(
     run: Identification, key: str, colour: Colour, engine: Any, *, seed: int, progress: Progress | None = None
 ) -> tuple[Posterior, tuple[str, ...]]:
-    """A posterior, with what is said of its other modes and of the priors that it leans on."""
     density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
     mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
     found = engine(density, mode, seed=seed, progress=progress)

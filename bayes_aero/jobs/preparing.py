@@ -34,7 +34,6 @@ if TYPE_CHECKING:  # what computes and draws is heavy
 
 
 def known_effects(card: Card | None = None) -> dict[str, Effect]:
-    """The catalogue, and the effects of the card's own files, in alphabetical order."""
     own = own_effects(card.effect_files) if card is not None else {}
     return dict(sorted((CATALOGUE | own).items()))
 
@@ -494,9 +493,7 @@ LATERAL_EFFECTS = (
 )  # fmt: skip
 WINGS = ("roll_rate_incidence", "wing_asymmetry", "wing_lift_difference")
 MEASURED = ("ay", "beta", "p", "r", "rudder")
-REMARKS = {
-    "separated_induced_drag": " # induced_share 0: drag of the attached lift, as published; 1: of the lift that is left"
-}
+REMARKS = {"separated_induced_drag": " # induced_share 0: drag of the attached lift, as published; 1: of the rest"}
 MACH_MOVES, SOUND = 0.05, 330.0  # a change of Mach number that tells its effect, and m/s
 ROLLS = np.deg2rad(1.0)  # rad/s of roll rate, in the mean square, that tell the lateral coefficients
 STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a stall
@@ -508,9 +505,7 @@ def comment(words: str) -> str:
 
 def has_lateral(found: Mapping[str, Guess]) -> bool:
     """Whether the channels of the lateral axis are there: six coefficients can be formed and explained."""
-    return all(name in found for name in MEASURED) and (
-        "aileron" in found or {"aileron_left", "aileron_right"} <= set(found)
-    )
+    return set(MEASURED) <= set(found) and ("aileron" in found or {"aileron_left", "aileron_right"} <= set(found))
 
 
 def model_block(found: Mapping[str, Guess], mach: bool) -> Iterator[str]:

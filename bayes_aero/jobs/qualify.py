@@ -66,7 +66,7 @@ def qualify_result(
     progress: Progress | None = None,
 ) -> tuple[Qualification, tuple[str, ...]]:
     """Qualify the model of a finished result, also by `tests` that were not fitted; and sentences on what failed."""
-    source = read_finished(given, options.card, ", and a card has no uncertainty; give the folder of a result")
+    source = read_finished(given, options.card)
     card, records = source.card, source.records("give it with --fitted", options.fitted)
     new = new_records(tests, records, card, source, options.gusts)
     if out is not None:

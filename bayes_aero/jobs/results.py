@@ -54,6 +54,7 @@ from bayes_aero.report.pages.identification import next_flight_table, parameter_
 from bayes_aero.report.table import write_csv
 
 FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
+UNITS = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
 
 Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated records hide, by effect
 
@@ -123,7 +124,7 @@ def part_of_errors(tested: Tested | None, compared: str) -> parts.TestedPart:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
         return parts.TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
-    outputs = {n: parts.TestedOutput.of(one, unit=STANDARD_CHANNELS[n].unit) for n, one in tested.outputs.items()}
+    outputs = {n: parts.TestedOutput.of(one, unit=UNITS[n]) for n, one in tested.outputs.items()}
     return parts.TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
 
 
@@ -162,7 +163,7 @@ def trajectories_part(flown: Trajectories | None, card: Card) -> parts.Trajector
         status={"card": before.status.name, "extended": after.status.name},
         at_bound={"card": before.at_bound, "extended": after.at_bound},
         causes={name: parts.KeptPart(*missed, name in asked.kept) for name, missed in asked.missed.items()},
-        tolerances=stated_tolerances(card, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}),
+        tolerances=stated_tolerances(card, {name: UNITS[name] for name in flown.outputs}),
         paths=[path_part(parts.ComparedPath, path) for path in flown.paths],
         parameters={
             name: parts.FlownEstimate(
@@ -188,12 +189,8 @@ def path_part(
 ) -> Any:
     """One simulated manoeuvre; `units` of outputs (SI) for channels that the program does not know by name."""
     part = parts.ComparedOutput if kind is parts.ComparedPath else parts.PathOutput
-    outputs = {
-        name: part.of(
-            **vars(error) | vars(error.theil), unit=STANDARD_CHANNELS[name].unit if units is None else units[name]
-        )
-        for name, error in path.errors.items()
-    }
+    errors = path.errors.items()
+    outputs = {n: part.of(**vars(e) | vars(e.theil), unit=(units or UNITS)[n]) for n, e in errors}
     return kind.of(path, outputs=outputs)
 
 
@@ -408,7 +405,6 @@ def diagnosed(view: View) -> Histories:
 
 
 def identified(run: Identification) -> Histories:
-    """Coefficients as measured and by the maximum-likelihood fit to all manoeuvres."""
     o, both = run.observations, {"measured": np.asarray(run.observations.measured), "fitted": run.fitted}
     columns = {f"{n}_{key}": (x[:, c], "1") for c, n in enumerate(o.coefficients) for key, x in both.items()}
     return {"coefficients": _group(columns, o.names, o.manoeuvre, o.time)}
@@ -416,7 +412,7 @@ def identified(run: Identification) -> Histories:
 
 def flights(paths: Iterable[SimulatedManoeuvre], units: Mapping[str, str] | None = None) -> Histories:
     """Outputs as measured and by each model, a group for each split; `units` (SI) of channels that are not standard."""
-    known = units or {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
+    known = units or UNITS
     splits: dict[str, dict[str, dict[str, SimulatedManoeuvre]]] = {}
     for path in paths:
         splits.setdefault(path.split, {}).setdefault(path.manoeuvre, {})[path.model] = path

@@ -78,8 +78,6 @@ def as_json(content: Any) -> str:
 
 
 def plain(content: Any) -> Any:
-    """A document as it is read: mappings, lists, numbers and text."""
-
     def simple(value: Any) -> Any:
         if isinstance(value, Mapping):
             return dict(value)
@@ -139,7 +137,6 @@ class Growing(Generic[Result]):
 
 @cache
 def environment() -> dict[str, Any]:
-    """Versions of everything installed, and the SHA-256 of this package's own source."""
     packages = {}
     for distribution in metadata.distributions():
         name = distribution.metadata["Name"]

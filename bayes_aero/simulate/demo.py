@@ -102,7 +102,6 @@ def simulate_stall(
 
 
 def demo_records() -> list[FlightRecord]:
-    """The two manoeuvres on which the program runs when it is given no record."""
     return [simulate_stall(number) for number in range(len(RECORDS))]
 
 
@@ -152,14 +151,11 @@ def resampled(pilot: Pilot, time: Series) -> Pilot:
     """A pilot of `random_pilot` at other samples; what is differentiated stays smooth."""
     drawn_at = flight_time()
     smooth = {name: CubicSpline(drawn_at, getattr(pilot, name))(time) for name in ("phi", "beta")}
-    rows = {
-        name: np.interp(time, drawn_at, x) for name, x in pilot._asdict().items() if np.ndim(x) and name not in smooth
-    }
+    rows = {n: np.interp(time, drawn_at, x) for n, x in pilot._asdict().items() if np.ndim(x) and n not in smooth}
     return pilot._replace(**smooth, **rows)
 
 
 def moved_by(effects: Iterable[Effect]) -> list[str]:
-    """`SURFACES` through which any of the effects acts."""
     needed = {channel for effect in effects for channel in effect.channels}
     return [name for name in SURFACES if {name, f"{name}_left"} & needed]
 

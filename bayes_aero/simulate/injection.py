@@ -167,7 +167,7 @@ def flyable(
 
 def draw_hidden(rng: np.random.Generator, name: str, largest: float = 10.0) -> dict[str, float]:
     """True values of a catalogue effect: departure uniform in its logarithm within `sizes`, either sign where allowed,
-    at most `largest` times the least worth modelling; none of the terms of the base aircraft, which all flights have."""
+    at most `largest` times the least worth modelling; none of the terms of the base aircraft, which every one has."""
     effect, values = _known(name), {}
     for parameter in effect.parameters:
         if demo.TRUTH.get(parameter.name, parameter.neutral) != parameter.neutral:
@@ -331,7 +331,6 @@ def _piloted(
 
 
 def _air_data(flight: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What follows from height and airspeed in a standard atmosphere."""
     density, sound = (np.asarray(x) for x in air(jnp.asarray(flight["altitude"])))
     temperature = sound**2 / (GAMMA * GAS)
     pressure = density * GAS * temperature
@@ -405,7 +404,6 @@ _backward = eqx.filter_jit(lambda correction, x, weight: jax.vjp(correction, x)[
 def corrected(
     model: Model, values: Values, channels: Channels, marks: Values, aircraft: Aircraft
 ) -> dict[str, np.ndarray]:
-    """`Model.corrected`, compiled, without the marks."""
     correction, x = _Correction.of(model, values, channels, marks, aircraft)
     return dict(zip(channels, np.asarray(correction(x) * correction.scale[:, None]), strict=True))
 

@@ -240,7 +240,6 @@ def versions_of() -> dict[str, str]:
 
 
 def variables() -> dict[str, str]:
-    """Environment variables of a worker: one core, and the shared cache of compiled programs."""
     flags = os.environ.get("XLA_FLAGS", "")
     return {
         **THREADS,

@@ -118,8 +118,6 @@ class Unit:
 
 @dataclass(frozen=True)
 class Study:
-    """A study file with its units, in the order in which they are listed."""
-
     path: Path
     sha256: str
     title: str
@@ -186,7 +184,6 @@ def _known(table: Mapping[str, Any], known: Sequence[str], where: str, what: str
 
 
 def record_sets(asked: StudyFile, folder: Path, where: str) -> list[tuple[Path, ...]]:
-    """The records of each unit: those of a pattern together, or one by one, in the order of their names."""
     sets: list[tuple[Path, ...]] = []
     for pattern in asked.records:
         if any(c in pattern for c in "*?["):
@@ -483,9 +480,7 @@ def doubts_of(unit: Unit, folder: Path) -> list[str]:
 def result_rows(task: str, found: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """A row for each parameter and method: fits, the deviation taken in their names, posteriors, causes."""
 
-    def row(
-        method: str, parameter: str, unit: str, estimate: Sequence[Any], status: Any, **more: Any
-    ) -> dict[str, Any]:
+    def row(method: str, parameter: str, unit: str, estimate: Any, status: Any, **more: Any) -> dict[str, Any]:
         value, sd, *interval = estimate  # and where it is not symmetric, the interval of 95 %
         low, high = interval or ((None, None) if sd is None else (value - 1.96 * sd, value + 1.96 * sd))
         about = {"method": method, "parameter": parameter, "unit_of_value": unit, "value": value, "sd": sd}

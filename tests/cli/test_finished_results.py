@@ -92,7 +92,7 @@ def test_the_page_can_be_signed(folder, found):
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (("attas",), "a card has no uncertainty"),
+    (("attas",), "attas is a card; give the folder of a result"),
     (("nowhere",), "there is no result 'nowhere'"),
     (("results", "nosuch.csv"), "no such file"),
     (("results", "stall.csv"), "was fitted, so it is tested anyway"),
