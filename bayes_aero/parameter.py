@@ -70,10 +70,8 @@ class Prior:
         if self.family not in FAMILIES:
             raise InputError(f"a prior has the family {self.family!r}; use one of {', '.join(FAMILIES)}")
         if not (math.isfinite(self.scale) and self.scale > 0.0 and math.isfinite(self.location)):
-            raise InputError(
-                f"a {self.family} prior has location {self.location} and scale {self.scale}; "
-                "both must be finite and the scale positive"
-            )
+            numbers = f"location {self.location} and scale {self.scale}"
+            raise InputError(f"a {self.family} prior has {numbers}; both must be finite and the scale positive")
         if self.family == "lognormal" and self.location <= 0.0:
             raise InputError(f"a lognormal prior has the median {self.location}; it must be positive")
 

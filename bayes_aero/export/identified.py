@@ -444,18 +444,15 @@ def validity(found: Identified) -> tuple[str, ...]:
 def states(found: Identified) -> tuple[str, ...]:
     said = []
     if found.lagged:
-        said.append(
-            f"State {', '.join(found.points)}: the separation point (1 attached, 0 separated) follows its static "
-            "value, lag dX/dt = X_static - X; it starts at the static value."
-        )
+        points = ", ".join(found.points)
+        said.append(f"State {points}: the separation point (1 attached), lag dX/dt = X_static - X, first X_static.")
     elif found.separates:
         said.append(f"{', '.join(found.points)}: the separation point (1 attached, 0 separated), without lag.")
     before = (Stage.INCIDENCE, Stage.SEPARATION)
     reading = [e for e in found.exported.acting if "alpha_dot" in e.channels]
     if any(e.stage not in before or not found.lagged for e in reading):
         said.append(
-            "The coefficients depend on alpha_dot at the same instant, and alpha_dot on them: a simulator solves the "
-            "equation, or takes alpha_dot through a lag of a few steps."
+            "The coefficients and alpha_dot depend on each other: a simulator solves for it, or lags alpha_dot."
         )
     return tuple(said)
 

@@ -164,8 +164,7 @@ Provenance = Annotated[
 Failures = Annotated[
     list[str],
     Meta(
-        description="A sentence on each part of the run that failed unexpectedly; all other results are valid. The "
-        "exit code is then 1."
+        description="A sentence on each part that failed unexpectedly; all others are valid. The exit code is then 1."
     ),
 ]
 

@@ -528,11 +528,8 @@ def model_block(found: Mapping[str, Guess], mach: bool) -> Iterator[str]:
     yield '  "mach_lift",' if moves else f'#   "mach_lift", # {remark}'
     yield from (f'  "{name}",' for name in ATTACHED[1:])
     if "alpha" in found:
-        beyond, holds = ("not", "no") if stall else ("beyond", "a")
-        yield (
-            f"# guess: alpha reaches {np.rad2deg(reached):.3g} deg, {beyond} {np.rad2deg(STALLED):.0f} deg, so {holds} "
-            "stall is in the record:"
-        )
+        holds = "no" if stall else "a"
+        yield f"# guess: alpha reaches {np.rad2deg(reached):.3g} deg, so {holds} stall is in the record:"
     else:
         yield "# alpha was not found, so nobody knows whether a stall is in the record; if one is:"
     yield from (f'{stall}  "{name}",{REMARKS.get(name, "")}' for name in STALL)

@@ -119,10 +119,8 @@ def new_records(
     if linear is not None and gusts:
         raise InputError(f"card {linear.name} states a linear system, not flown in moving air; leave --gusts out")
     if linear is not None and new and linear.rows.by_manoeuvre:
-        raise InputError(
-            f"card {linear.name} states {several(linear.rows.by_manoeuvre)} for each manoeuvre, so there is no value "
-            f"for record {new[0].name}, which was not fitted; leave it out, or fit a card with one value for all"
-        )
+        separate = several(linear.rows.by_manoeuvre)
+        raise InputError(f"card {linear.name} states {separate} for each manoeuvre; leave {new[0].name} out")
     return new
 
 
@@ -196,10 +194,7 @@ def limits_of(card: Card, bands: Mapping[str, float], region: Region) -> list[st
         said.append(f"The tolerance of {several(names)} is not judged: not recorded, or not an output of the model.")
     if "alpha" in region.channels:
         alpha = np.degrees(region.points[:, region.channels.index("alpha")].max())
-        said.append(
-            f"The largest recorded angle of attack is {alpha:.1f} deg. Attachment 7 asks for a valid model up to 10 "
-            "deg beyond the stall identification angle of attack, which the program does not know."
-        )
+        said.append(f"The largest angle of attack is {alpha:.1f} deg; Attachment 7 asks for 10 deg beyond the stall.")
     return said
 
 
