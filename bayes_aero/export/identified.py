@@ -300,9 +300,8 @@ class Identified:
 
     @cached_property
     def program(self) -> Program:
-        """Coefficients and separation points from signals, states, parameters and constants of the aircraft. A lagged
-        point X is an input `state.X`; the outputs then are its static value `X_static` and `lag`, the time constant in
-        s with which it follows."""
+        """Coefficients and separation points. A lagged point X is an input `state.X`; the outputs then are its static
+        value `X_static` and `lag`, the time constant in s with which it follows."""
         return self.traced(self._outputs, self.points if self.lagged else ())
 
     @property

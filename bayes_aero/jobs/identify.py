@@ -67,8 +67,7 @@ def identify(
     truth: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Identification:
-    """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends. `truth`:
-    the parameters that simulated records were flown with, shown beside the estimates."""
+    """As `bayes-aero identify` does; with `out` every stage is written as it ends. `truth`: of simulated records."""
     job = IdentificationJob(records, card, options, out=out, progress=progress)
     job.fit(truth)
     if options.frequency is not None:

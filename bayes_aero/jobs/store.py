@@ -28,8 +28,8 @@ from bayes_aero.flight.card import Card, shipped_cards
 from bayes_aero.flight.record import FlightRecord, is_file
 
 PACKAGES = (
-    "bayes-aero", "arviz-base", "arviz-stats", "emcee", "equinox", "jax", "jaxlib", "numpy", "numpyro", "pandas",
-    "pint", "scipy", "xarray",
+    "arviz-base", "arviz-stats", "emcee", "equinox", "jax", "jaxlib", "numpy", "numpyro", "pandas", "pint", "scipy",
+    "xarray",
 )  # fmt: skip
 
 
@@ -50,7 +50,8 @@ def provenance(
         ],
         **({} if card is None else {"card": {"name": card.name, "sha256": card.sha256, "path": card.path or None}}),
         "effect_files": [{"name": path.name, "sha256": sha256_of(path)} for path in files],
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
+        "versions": {"python": platform.python_version(), "bayes-aero": bayes_aero.__version__}
+        | {name: metadata.version(name) for name in PACKAGES},
         "platform": {"system": platform.platform(), "machine": platform.machine(), "cores": os.cpu_count()},
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
     }
@@ -59,13 +60,6 @@ def provenance(
 def sha256_of(path: Path) -> str:
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
-
-
-def version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "not installed"
 
 
 def write_json(content: Any, path: Path) -> None:
@@ -185,8 +179,7 @@ RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", 
 
 
 def writable(folder: Path) -> None:
-    """Make the folder for results, or say why it cannot be. The folder may be a link itself, for the user has named it;
-    a link in it that leads out of it is refused."""
+    """Make the folder for results, which may be a link; refuse a link in it that leads out of it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         root, leads_out = folder.resolve(), None

@@ -93,9 +93,7 @@ def hidden_flights(effects: Mapping[str, Mapping[str, float]], *, seed: int, **o
     """Random stall manoeuvres of an aircraft near the demo's, in which `effects` (by name, true values) are hidden.
 
     `options` are those of `HiddenOptions`. Manoeuvre k of a seed is flown with the same commands and draws whatever is
-    hidden, unless the flight leaves its envelope: then all are drawn anew, and after the third time `InputError` says
-    that the aircraft cannot be flown so.
-    """
+    hidden, unless the flight leaves its envelope: then all are drawn anew, at most twice."""
     setting = HiddenOptions(**options)
     truth = _values(effects, np.random.default_rng([seed, 1]), setting.beyond)
     return _first(3, lambda attempt: _flights(effects, truth, [seed, 2, attempt], setting))
