@@ -51,9 +51,8 @@ def plain_line(text: str) -> str:
 
 
 def failure(what: str, reason: Exception, folder: Path | None = None, *, own: bool = False) -> str:
-    """The sentence on a part of a job that failed unexpectedly, all else being valid. `what`: the part, and that it is
-    not there; where in the program it happened is added to error.txt in `folder`. `own`: whether effects of the user's
-    own may be what failed. The reason is raised where no more can be written."""
+    """The sentence that `what` is not there; where in the program it failed is added to error.txt in `folder`. `own`:
+    whether effects of the user's own may have failed. The reason is raised where no more can be written."""
     if no_space(reason):
         raise reason
     where, whose = "", "the program or of the card's effect files" if own else "the program"

@@ -178,8 +178,7 @@ def system_xml(found: Identified) -> str:
 
 
 def aircraft_xml(found: Identified) -> str:
-    """A body with the card's mass, inertia and thrust line, to fly the aerodynamics with. Without a lateral model it is
-    symmetric, so that it stays in its plane of symmetry."""
+    """A body with the card's mass, inertia and thrust line; without a lateral model it is symmetric."""
     a = found.actual_aircraft
     if Axis.LATERAL not in found.model.axes:
         point, engine = ((x, 0.0, z) for x, _, z in (a.reference_point, a.engine))
@@ -430,8 +429,7 @@ START = {"airspeed": 100.0, "density": 1.225}  # inputs that no flow has at zero
 
 
 def write_fmu(found: Identified, folder: Path) -> Path:
-    """Build the FMU in `folder`. Inputs are the channels that the model reads, outputs its coefficients and separation
-    points, parameters its own. A step holds the inputs and solves the lag of the separation point exactly."""
+    """Build the FMU in `folder`. A step holds the inputs and solves the lag of the separation point exactly."""
     if find_spec("pythonfmu") is None:
         raise InputError('an FMU needs the package pythonfmu; install it with: pip install "bayes-aero[export]"')
     name = re.sub(r"\W", "_", f"{found.name}_aerodynamics")

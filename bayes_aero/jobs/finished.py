@@ -84,8 +84,6 @@ COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose
 
 @dataclass(frozen=True)
 class FinishedResult:
-    """A result of identify, fly or diagnose: its file and what that says, its card, and the model with its values."""
-
     file: Path
     told: Mapping[str, Any]
     card: Card

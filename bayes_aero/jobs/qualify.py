@@ -188,7 +188,6 @@ def outside_region(
 
 
 def limits_of(card: Card, bands: Mapping[str, float], region: Region) -> list[str]:
-    """Tolerances that the model cannot be asked for, and the largest flown angle of attack, of the rule on stalls."""
     said, names = [], [n for n, t in card.tolerances.items() if n not in bands and t != TOLERANCES.get(n)]
     if names:
         said.append(f"The tolerance of {several(names)} is not judged: not recorded, or not an output of the model.")
@@ -313,7 +312,6 @@ def between_manoeuvres(
 def drawn_by_identify(
     source: FinishedResult, names: Sequence[str], estimate: Float[np.ndarray, " k"], count: int, seed: int
 ) -> Float[np.ndarray, "m k"] | None:
-    """The next flight's parameters that identify has drawn, where it was asked to."""
     file = source.folder / NEXT_FLIGHT
     if source.command != "identify" or not file.is_file():
         return None

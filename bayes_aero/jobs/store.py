@@ -92,8 +92,7 @@ Result = TypeVar("Result")
 
 
 class Growing(Generic[Result]):
-    """A result with `notes` and `failures`, written into `out` (None: not) whenever there is more of it, whichever
-    thread found it; `source` is its provenance."""
+    """A result with `notes` and `failures`, written into `out` whenever there is more of it, from any thread."""
 
     result: Result
 

@@ -1,6 +1,4 @@
-"""Simulated manoeuvres with effects hidden in them, known to the simulator and not to the card; and one synthetic
-record on request: any effects at given sizes, any standard manoeuvre, on the aircraft of a card.
-"""
+"""Simulated manoeuvres with effects hidden in them; and a record on request, of any effects and standard manoeuvre."""
 
 from __future__ import annotations
 

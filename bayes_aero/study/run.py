@@ -86,8 +86,7 @@ LISTS = ("records", "cards", "seeds", "splits", "noise", "effects")
 
 @dataclass(frozen=True)
 class Unit:
-    """One job as plain data, to be sent to another process as JSON. `records` and `card` are absolute paths, which are
-    not part of its identity; `shown` are the records relative to the study's folder."""
+    """One job as plain data, sent as JSON. Paths are absolute, and no part of its identity; `shown` are relative."""
 
     name: str
     task: str
@@ -126,8 +125,7 @@ class Study:
 
 
 def read_study(path: Path, *, trust_effects: bool = False) -> Study:
-    """Read and check a study. A card that names effect files is refused unless `trust_effects`: they are code, and the
-    user has named only the study."""
+    """Read and check a study; a card with effect files is refused unless `trust_effects`, for they are code."""
     raw, table = read_table(path, "study")
     where, folder = f"study {path}", path.parent
     _known(table, KEYS, where, "key")
@@ -321,9 +319,8 @@ def run_unit(
     progress: Progress | None = None,
     failed: str = "",
 ) -> dict[str, Any]:
-    """Run a unit (`Unit.as_json`) into `folder`, which appears when it is complete, with results or with error.txt: a
-    pure function of its description and of the files that it names, so that another process can run it. Returns name,
-    state, seconds and error. `failed`: why it could not be run, which is then recorded."""
+    """Run a unit (`Unit.as_json`) into `folder`, which appears when it is complete, with results or with error.txt.
+    Returns name, state, seconds and error. `failed`: why it could not be run, which is then recorded."""
     unit, target = Unit.of_json(given), Path(folder)
     began, partial, error = time.perf_counter(), beside(target), failed
     shutil.rmtree(partial, ignore_errors=True)
