@@ -162,10 +162,10 @@ def fitted(
     found = (flown, sentences, tuple(notes), checks.health, checks.consistency, failed, apart, beside)
     kept.result = Flight(*found, motion=moves)
     kept.keep()
-    if sample is not None and beside is not None and options.posterior and beside.converged:
-        kept.sample(partial(sample, options.seed, progress))
     if out is not None:
         remove_older(out, ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"), began)
+    if sample is not None and beside is not None and options.posterior and beside.converged:
+        kept.sample(partial(sample, options.seed, progress))
     return kept
 
 

@@ -97,8 +97,9 @@ def gain(view: View) -> Figure:
     for row, key, label, form in zip(axes, ("r2", "rmse"), ("R²", "RMSE"), ("%.3f", "%.4f"), strict=True):
         for ax, name in zip(row, view.coefficients, strict=True):
             values = [getattr(scores[name], key) for _, _, scores in links]
-            bars = ax.barh(range(len(links)), values, color=[colour for _, colour, _ in links], height=0.7)
-            ax.bar_label(bars, fmt=form, padding=2, fontsize=7.5)
+            shown = np.maximum(values, -1.0)  # a bar that leaves the axes would have no number
+            bars = ax.barh(range(len(links)), shown, color=[colour for _, colour, _ in links], height=0.7)
+            ax.bar_label(bars, [form % value for value in values], padding=2, fontsize=7.5)
             _rows_of(ax, [label for label, _, _ in links])
             ax.set_xlim(max(-1.0, min(0.0, *values)), 1.25 * (1.0 if key == "r2" else np.nanmax(values)))
             ax.set_xlabel(f"{label} of {name} [-]")

@@ -271,11 +271,10 @@ def next_flight_sentences(run: Identification) -> list[str]:
         return []
     count, (low, high) = len(pooled.manoeuvres), pooled.at_best
     names, joint = ordered(pooled.aircraft, pooled.parameters), bounds(run.mle, run.mle.crb_corrected)
-    growth = [(m.ci95[1] - m.ci95[0]) / (joint[n].high - joint[n].low) for n, m in pooled.following.items()]
-    sentences = [
-        sentence("next_flight", times=float(np.median(growth))),
-        sentence("scatter_limit", count=count, low=number(low, 2), high=number(high, 2)),
-    ]
+    pairs = [(m.ci95[1] - m.ci95[0], joint[n].high - joint[n].low) for n, m in pooled.following.items()]
+    growth = [following / fit for following, fit in pairs if 0.0 < fit < math.inf]  # a singular fit has no intervals
+    sentences = [sentence("next_flight", times=float(np.median(growth)))] if growth else []
+    sentences.append(sentence("scatter_limit", count=count, low=number(low, 2), high=number(high, 2)))
     if little := [n for n in names if pooled.narrowed[n] > LITTLE]:
         which = f"all {len(names)} parameters" if len(little) == len(names) else several(little)
         sentences.append(sentence("scatter_prior", which=which, limit=LITTLE))

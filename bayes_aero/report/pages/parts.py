@@ -245,10 +245,15 @@ def histories(name: str, key: str, time: np.ndarray, panels: Sequence[Panel], wh
 # --- The stall in numbers.
 
 
+MOST_PLACES = 6  # digits behind the point
+
+
 def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
-    """Median and 95 % interval."""
-    low, middle, high = (f"{factor * x:.{places}f}" for x in (value.low, value.median, value.high))
-    return f"{middle} ({low} to {high})"
+    """Median and 95 % interval, with more digits where these many show no width."""
+    low, middle, high = (factor * x for x in (value.low, value.median, value.high))
+    while places < MOST_PLACES and low < high and f"{low:.{places}f}" == f"{high:.{places}f}":
+        places += 1
+    return f"{middle:.{places}f} ({low:.{places}f} to {high:.{places}f})"
 
 
 def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[HtmlTable | Text, ...]:
