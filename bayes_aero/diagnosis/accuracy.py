@@ -254,7 +254,7 @@ class LeftOut:
             return {}
         densities = before.densities(), self.densities()
         pairs = zip(self.names, *(density.T for density in densities), strict=True)
-        return {n: log_score_gain(*pair, self.variance_inflation, self.lengths) for n, *pair in pairs}
+        return {n: log_score_gain(a, b, self.variance_inflation, self.lengths) for n, a, b in pairs}
 
     def scores(self, measured: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
         """Scores of each coefficient over everything left out, against what was recorded (blocks of about 5 Hz)."""

@@ -90,7 +90,8 @@ class _Coefficients(Problem):
         self.point = self.tried = self._steps(np.clip(start, *self.bounds.T), MAX_ITERATIONS)
 
     def _steps(self, theta: Vector, most: int) -> GaussNewtonPoint:
-        return full_steps(self.data, theta, *self.bounds.T, TOLERANCE, most)
+        lower, upper = self.bounds.T
+        return full_steps(self.data, theta, lower, upper, TOLERANCE, most)
 
     def cost(self, point: Vector) -> float:
         self.tried = self.point if point is self.point.theta else self._steps(point, 0)
@@ -304,8 +305,8 @@ def full_steps(
     # Their last steps shrink by a constant factor, which Anderson acceleration estimates (Walker and Ni 2011, SIAM J.
     # Numer. Anal. 49, 1715).
     arguments = map(jnp.asarray, (start, lower, upper, tolerance, max_steps))  # none static: one compilation
-    theta, cost, *rest, steps = map(np.asarray, _full_steps(data, *arguments))
-    return GaussNewtonPoint(theta, float(cost), *rest, int(steps))
+    theta, cost, R, information, gradient, steps = map(np.asarray, _full_steps(data, *arguments))
+    return GaussNewtonPoint(theta, float(cost), R, information, gradient, int(steps))
 
 
 @eqx.filter_jit
@@ -453,8 +454,8 @@ def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str
     low, high = np.quantile(np.asarray(signals["alpha_dot"]), RATE_SHARES)
     rates = np.array([min(low, 0.0), 0.0, max(high, 0.0)])
     reference = conditions(signals)
-    given = jax.tree.map(jnp.asarray, (thin, alpha, rates, dict(reference)))
-    flows = _flows(model, *given, aircraft)
+    held = {name: jnp.asarray(value) for name, value in reference.items()}
+    flows = _flows(model, jnp.asarray(thin), jnp.asarray(alpha), jnp.asarray(rates), held, aircraft)
     X, CL, CD = (np.asarray(flows[name]) for name in ("X", "CL", "CD"))  # (m, rates, angles)
     peak, place, edge = maxima(alpha, CL[:, 1])
     return Stall(
