@@ -66,7 +66,8 @@ def _answer(sensors: Consistency, *, corrects: bool) -> str:
     where, errors = "; ".join(listed), []
     for name, error in (sensors.errors or {}).items():
         joint = joint_text(error.get("joint", {}))
-        errors.append(f"{name} ({error_sizes(error)}{f'; together with {joint}' if joint else ''})")
+        together = f"; estimated together with {joint}: neither holds alone" if joint else ""
+        errors.append(f"{name} ({error_sizes(error)}{together})")
     if sensors.agreement is Agreement.EXPLAINED:
         mend = "it is corrected here" if corrects else "it is not corrected here; diagnose corrects it"
         return sentence("disagree_explained", mend=mend, errors=errors, where=where)
