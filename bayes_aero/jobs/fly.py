@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain, count
 from pathlib import Path
-from time import time
 from typing import Any
 
 import jax.numpy as jnp
@@ -44,7 +43,16 @@ from bayes_aero.inference.results import MleResult, Posterior
 from bayes_aero.jobs.check import record_checks, repaired, spike_notes, usable_for
 from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
 from bayes_aero.jobs.results import RESULTS, Flight, flights, fly_results, put_histories
-from bayes_aero.jobs.store import Growing, provenance, remove_older, safe_name, sha256_of, writable, write_json
+from bayes_aero.jobs.store import (
+    Growing,
+    older_files,
+    provenance,
+    remove_older,
+    safe_name,
+    sha256_of,
+    writable,
+    write_json,
+)
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Flights, on_recorded_axes
@@ -109,7 +117,7 @@ def fitted(
     records: Sequence[FlightRecord], card: Card, options: FlyOptions, out: Path | None, progress: Progress | None
 ) -> FlightStore:
     """The fits and what is said of them, with posteriors; all numbers are written."""
-    setting, began = setting_of(options, card), time()
+    setting = setting_of(options, card)
     if options.frequency is not None:
         if card.linear is None:
             raise InputError(
@@ -122,6 +130,7 @@ def fitted(
     flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
     if out is not None:
         writable(out)
+    older = {} if out is None else older_files(out, ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"))
     checks = record_checks(records, card, options.seed, out, progress=progress)
     undecided = options.process_noise is None
     met = in_gusts(records, card, options.seed) if undecided and checks.consistency.recorded else {}
@@ -162,8 +171,7 @@ def fitted(
     found = (flown, sentences, tuple(notes), checks.health, checks.consistency, failed, apart, beside)
     kept.result = Flight(*found, motion=moves)
     kept.keep()
-    if out is not None:
-        remove_older(out, ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"), began)
+    remove_older(older)
     if sample is not None and beside is not None and options.posterior and beside.converged:
         kept.sample(partial(sample, options.seed, progress))
     return kept

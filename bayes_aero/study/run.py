@@ -52,8 +52,6 @@ from bayes_aero.jobs.store import (
 )
 from bayes_aero.model.model import Model
 from bayes_aero.progress import Progress
-from bayes_aero.report.page import put_page
-from bayes_aero.report.pages.study import StudyContext, study_headline, study_page
 
 TASKS: dict[str, type[Options]] = {"identify": IdentifyOptions, "diagnose": DiagnoseOptions, "fly": FlyOptions}
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -544,6 +542,9 @@ def put_report(study: Study, out: Path) -> tuple[str, tuple[str, ...]]:
         "Each unit": "provenance.json in its folder has its inputs, versions, seed and command",
         "To restore": "environment/requirements.txt has every version",
     }
+    from bayes_aero.report.page import put_page  # these are heavy
+    from bayes_aero.report.pages.study import StudyContext, study_headline, study_page
+
     context = StudyContext(study.title, study.task, _table(out, "units"), _table(out, "summary"), out, facts)
     return study_headline(context), put_page(lambda: study_page(context), out)
 
