@@ -10,7 +10,7 @@ import base64
 import io
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
@@ -59,13 +59,6 @@ class HtmlTable:
     words: tuple[int, ...] = ()  # columns that hold text (left-aligned) beside the first
     note: str = ""
     links: tuple[str, ...] = ()  # relative addresses that the first cells lead to, one a row, empty for none
-
-    def lean(self) -> HtmlTable:
-        """Without the columns that are empty in every row."""
-        kept = [i for i in range(len(self.head)) if any(row[i] for row in self.rows)]
-        head, *rows = (tuple(row[i] for i in kept) for row in (self.head, *self.rows))
-        words = tuple(new for new, i in enumerate(kept) if i in self.words)
-        return replace(self, head=head, rows=tuple(rows), words=words)
 
     def across(self) -> int:
         """Characters in a row, with room between columns; text can be folded."""

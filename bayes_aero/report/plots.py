@@ -36,20 +36,6 @@ FARTHEST = 1e30  # single precision ends soon beyond
 
 
 @dataclass(frozen=True)
-class Over:
-    """The axis below the panels: its label, and its name, unit and digits in the tooltip."""
-
-    label: str
-    name: str
-    unit: str
-    digits: str
-
-
-TIME = Over("time from start of record [s]", "time", "s", "{0.00}")
-SAMPLE = Over("number of the sample [-]", "sample", "samples", "{0}")
-
-
-@dataclass(frozen=True)
 class Line:
     """One curve in the units of its panel; `style` is solid, dashed or dotted."""
 
@@ -140,7 +126,7 @@ def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> In
     return np.flatnonzero(keep)
 
 
-def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, over: Over = TIME) -> dict[str, Any]:
+def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str) -> dict[str, Any]:
     """The panels below each other over one shared axis, time (s), called `name`, as `page.js` draws them."""
     fitting = [_fitting(panel) for panel in panels]
     share = max(min((PAPER - AXIS) / sum(height for _, height in fitting), 1.0), LEAST)
@@ -166,9 +152,7 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, ov
                 "columns": _columns(time, panel),
             }
         )
-    tip = f"@t{over.digits} {over.unit if over is TIME else ''}".strip()
-    axis = {"label": over.label, "name": over.name, "tip": tip, "span": [float(time[0]), float(time[-1])]}
-    return {"name": name, "axis": axis, "panels": described}
+    return {"name": name, "span": [float(time[0]), float(time[-1])], "panels": described}
 
 
 def _columns(time: Float[np.ndarray, " n"], panel: Panel) -> dict[str, str]:

@@ -49,30 +49,6 @@ def measured_simulated(view: View) -> Figure:
     return drawn(columns, "Measured and simulated coefficients, the error of the last model shaded")
 
 
-@style.housed
-def ranking(view: View) -> Figure:
-    """Score of every candidate in the first screening of each stage, and the level of selection."""
-    if not view.rankings:
-        raise style.NotDrawn("no screening was done")
-    rows = [len(r.candidate_scores) + 1.0 for r in view.rankings]
-    figure, axes = style.panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
-    for ax, r in zip(axes[:, 0], view.rankings, strict=True):
-        causes = {c.name for c in view.diagnosis.causes if c.stage == r.stage}
-        colours = [COLOURS["chosen" if s.effect in causes else "candidate"] for s in r.candidate_scores]
-        bars = ax.barh(range(len(colours)), [s.score for s in r.candidate_scores], color=colours, height=0.75)
-        ax.bar_label(bars, fmt="%.1f", padding=2, fontsize=7.0, bbox=TIGHT, zorder=5)
-        if np.isfinite(r.threshold):
-            ax.axvline(r.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
-            label = f"noise alone exceeds\n{r.threshold:.1f} in {100.0 * r.level:g} % of replicates"
-            ax.text(0.99, 0.02, label, transform=ax.transAxes, va="bottom", ha="right", **style.NOTE)
-        _rows_of(ax, [s.effect for s in r.candidate_scores])
-        ax.margins(x=0.1)
-        ax.set_xlabel("estimate over its standard error, autocorrelation included [-]")
-        ax.set_title(f"Stage: {r.stage}")
-    figure.suptitle("Candidates before any addition\n(named causes in colour; later screenings may reorder them)")
-    return figure
-
-
 def _rows_of(ax: Axes, names: Sequence[str]) -> None:
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.4, -0.6)
@@ -241,5 +217,5 @@ def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:
     ax.set_title(f"First screening, {ranking.stage}")
 
 
-drawings = measured_simulated, ranking, gain, residual_profiles, residual_colour, found
+drawings = measured_simulated, gain, residual_profiles, residual_colour, found
 DIAGNOSIS_FIGURES = {draw.__name__: draw for draw in drawings}

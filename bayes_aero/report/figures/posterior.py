@@ -373,11 +373,6 @@ def _hyperparameters(tree: xr.DataTree, group: str) -> dict[tuple[str, str], np.
     return draws
 
 
-# --- Number of effects that need each recorded channel.
-
-KINDS = ("mle", "gpr", "emcee", "nuts", "crb_corrected", "white")  # roles whose colours kinds of effects take, in turn
-
-
 # --- The stall: recorded lift and drag with the steady curves, and the separation point with its band.
 
 BAND: dict[str, Any] = {"alpha": 0.25, "lw": 0.0}

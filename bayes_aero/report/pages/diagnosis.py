@@ -591,7 +591,7 @@ def _causes(view: DiagnosisView, context: parts.PageContext, gallery: Gallery) -
         (f"{WORDS['paragraphs']['causes']}{shared}.", causes_table(d)) if d.causes else "No cause is named.",
         sentence("minor", beside="", names=d.minor) if d.minor else None,
         parts.terms("glossary"),
-        fold("Every candidate's score before anything was added", screens, gallery("ranking")),
+        fold("Every candidate's score before anything was added", screens),
         list(in_band_sentences(context.result.in_band)),
     ]
 

@@ -23,7 +23,7 @@ from bayes_aero.report.phrases import (
     size_text,
     unit_behind,
 )
-from bayes_aero.report.plots import LOW, MOST, TIME, Over, Panel, linked, measured_panel
+from bayes_aero.report.plots import LOW, MOST, Panel, linked, measured_panel
 from bayes_aero.units import instant, number
 
 if TYPE_CHECKING:
@@ -230,16 +230,16 @@ def context_panels(channels: Mapping[str, Any], mine: np.ndarray, *, lateral: bo
     return [measured_panel(name, values, height=LOW) for name, values in known.items() if np.ptp(values) > 0.0]
 
 
-def histories(name: str, key: str, time: np.ndarray, panels: Sequence[Panel], what: str, over: Over = TIME) -> Plot:
+def histories(name: str, key: str, time: np.ndarray, panels: Sequence[Panel], what: str) -> Plot:
     """One manoeuvre's panels, the first of which has the curves of the legend; `what` begins the words on them."""
     lines = panels[0].lines
     legend = [(line.label, line.colour, line.style) for line in lines]
     errors = [lines[k] for first, k in panels[0].shade if not first]
     legend += [(f"error of the {line.label}", line.colour, "area") for line in errors]
     legend += [("tolerance", "#999999", "area")] if any(panel.band is not None for panel in panels) else []
-    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {several(p.label for p in panels)}."
+    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} s: {several(p.label for p in panels)}."
     caption = sentence("thinned", n=len(time)) if len(time) > MOST else ""
-    return Plot(linked(time - time[0], panels, key, over), tuple(dict.fromkeys(legend)), alt, caption, name)
+    return Plot(linked(time - time[0], panels, key), tuple(dict.fromkeys(legend)), alt, caption, name)
 
 
 # --- The stall in numbers.
