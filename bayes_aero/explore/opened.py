@@ -74,7 +74,6 @@ class OpenedResult(FinishedResult):
         return groups_of(found.model, found.values, self.errors, added)
 
     def addable(self, channels: Sequence[str]) -> tuple[Effect, ...]:
-        """Effects of the catalogue that may be added where these channels are known."""
         found = self.identified
         return () if isinstance(found, IdentifiedLinear) else addable(found.model, channels)
 
@@ -249,8 +248,6 @@ class Slider:
 
 @dataclass(frozen=True)
 class SliderGroup:
-    """An effect with its sliders; `added`: it is not part of the result's model; `switch`: it can be switched off."""
-
     name: str
     claim: str
     added: bool
@@ -398,7 +395,6 @@ class Simulator:
         return self._structures[key]
 
     def _values(self, choice: Choice) -> dict[str, float]:
-        """Of the model and of the biases of outputs."""
         opened, own = self.opened, self._structure(choice)
         values = opened.identified.values
         found = {**values, **choice.values} if own.model is None else values_of(own.model, values, choice)

@@ -45,15 +45,11 @@ Parts = Mapping[str, np.ndarray]
 
 
 class Exchange(DataModel):
-    """Requests of the browser and answers to it, each as JSON."""
-
     asked = String("")
     told = String("")
 
 
 class ExplorePage:
-    """A document with its state."""
-
     def __init__(self, simulator: Simulator, document: Document) -> None:
         self.simulator, self.opened = simulator, simulator.opened
         self.units = {n: c.unit for n, c in STANDARD_CHANNELS.items()} | channel_units(self.opened.card)
@@ -200,7 +196,6 @@ class ExplorePage:
         return "" if place is None else f"{DRAWS} draws: {self._fans[asked.manoeuvre][0]}."
 
     def _scores(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> list[dict[str, Any]]:
-        """RMS errors and shares inside the tolerances, in the units of the panels."""
         paths = scores(self.simulator.recorded(manoeuvre), before.simulated, now.simulated, window, self.tolerances)
         errors = [{name: x - flown.coefficients[name] for name, x in flown.formed.items()} for flown in (before, now)]
         still = {name: np.zeros_like(y) for name, y in errors[1].items()}
@@ -366,7 +361,6 @@ class TimePanel:
         self.record.update(data={"t": t, "y": y, "low": y - half, "high": y + half})
 
     def line(self, time: Curve, y: Curve, columns: tuple[str, str] = ("t", "y")) -> dict[str, np.ndarray]:
-        """A line as the named columns of a source."""
         return dict(zip(columns, self._drawable(time, y), strict=True))
 
     def draw_fan(self, time: Curve, draws: Float[np.ndarray, "m n"]) -> None:
@@ -421,7 +415,6 @@ class LocalOnly(Router):
         self.app, self.hosts = app, hosts
 
     def find_handler(self, request: HTTPServerRequest, **kwargs: object) -> HTTPMessageDelegate | None:  # noqa: ARG002
-        """The page's, or that of a refusal."""
         if request.host.lower() in self.hosts:
             return self.app.find_handler(request)
         return self.app.get_handler_delegate(request, ErrorHandler, {"status_code": FORBIDDEN})
@@ -452,7 +445,6 @@ class PageServer:
         self._server = BaseServer(self.loop, app, http)
 
     def serve(self, *, browser: bool = False) -> None:
-        """Until Ctrl-C; `browser`: open the page in the user's."""
         self._server.start()
         if browser:
             self.loop.add_callback(webbrowser.open, self.url)

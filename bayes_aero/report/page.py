@@ -37,14 +37,10 @@ class Text(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Sentences, one a bullet."""
-
     items: tuple[str, ...]
 
 
 class Facts(NamedTuple):
-    """Name and value, one a line."""
-
     items: tuple[tuple[str, str], ...]
 
 
@@ -68,8 +64,6 @@ class HtmlTable:
 
 
 class Picture(NamedTuple):
-    """A static figure."""
-
     source: str  # a data URI
     caption: str
     width: int  # pixels of the picture
@@ -88,8 +82,6 @@ class Plot(NamedTuple):
 
 
 class Fold(NamedTuple):
-    """Blocks behind a line that opens them."""
-
     title: str
     blocks: tuple[Block, ...]
 
@@ -98,8 +90,6 @@ Block = Text | Points | Facts | HtmlTable | Picture | Plot | Fold
 
 
 class Section(NamedTuple):
-    """A heading with its blocks; `key` is its anchor."""
-
     key: str
     title: str
     blocks: tuple[Block, ...]
@@ -154,7 +144,6 @@ def section(key: str, title: str, make: Callable[[], Any]) -> Section:
 
 
 def render(page: Report) -> str:
-    """The page as HTML."""
     environment = Environment(
         loader=PackageLoader("bayes_aero.report", "templates"),
         autoescape=select_autoescape(default=True, default_for_string=True),
@@ -184,7 +173,6 @@ def render(page: Report) -> str:
 
 
 def write_page(page: Report, path: Path) -> Path:
-    """Write the page whole or not at all."""
     return write_whole(render(page), path)
 
 
@@ -241,8 +229,6 @@ CSS_INCH = 96.0  # pixels of a screen in which a font has its nominal size
 
 
 class Gallery:
-    """The drawn figures by stem, with captions."""
-
     def __init__(self, paths: Mapping[str, Path], captions: Mapping[str, str]) -> None:
         self.paths, self.captions = paths, captions
 

@@ -100,7 +100,6 @@ def bracket(unit: str) -> str:
 
 
 def symbol(output: str) -> str:
-    """A channel as people read it: V for airspeed."""
     return SYMBOLS.get(output, output)
 
 
@@ -111,7 +110,6 @@ def amounts(unit: str, *values: float) -> tuple[str, ...]:
 
 
 def plain_unit(unit: str) -> str:
-    """A parameter's unit as people read it."""
     return {"1": "-", "c/V": "chords"}.get(unit, unit).replace("^2", "²").replace("^3", "³")
 
 

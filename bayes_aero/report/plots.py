@@ -60,7 +60,6 @@ class Panel:
 
     @property
     def label(self) -> str:
-        """Name and unit."""
         return f"{self.name} {bracket(self.unit)}"
 
 

@@ -113,7 +113,6 @@ def residual_profiles(view: View) -> Figure:
 
 @style.housed
 def residual_colour(view: View) -> Figure:
-    """Autocorrelation of the residuals, before and after."""
     names, dt = view.coefficients, view.seconds
     figure, axes = style.panels(1, len(names), (4.0 * len(names) + 1.0, 3.6))
     for c, (name, ax) in enumerate(zip(names, axes[0], strict=True)):

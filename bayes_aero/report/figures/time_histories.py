@@ -60,7 +60,6 @@ def drawn(columns: Sequence[tuple[str, np.ndarray, Sequence[Panel]]], title: str
 
 
 def draw_panel(ax: Axes, time: np.ndarray, panel: Panel) -> None:
-    """Curves with shaded errors, the tolerance, and the note."""
     kept = extremes([line.values for line in panel.lines])
     t, values = time[kept], [line.values[kept] for line in panel.lines]
     if panel.band is not None:
@@ -101,7 +100,6 @@ def predicted(identification: Identification, coefficient: str) -> pd.DataFrame:
 
 
 def what_is_shown(identification: Identification) -> str:
-    """Where the predictions are shown, for titles."""
     gp = identification.gp
     return "fit to all samples" if gp is None else f"test points of the {gp.chosen} split"
 
@@ -170,7 +168,6 @@ FIGURES |= {
 
 @style.housed
 def hold_out(view: View) -> Figure:
-    """Every manoeuvre, simulated with the fit to the others."""
     flown = view.trajectories
     if flown is None:
         raise style.NotDrawn("nothing was simulated")

@@ -37,7 +37,6 @@ CHANNELS = (
 
 
 def headline(report: CheckReport) -> str:
-    """The verdict in a sentence."""
     if report.usable:
         able = [name for name, why in report.uses.items() if not why]
         wrong = {
@@ -53,7 +52,6 @@ def headline(report: CheckReport) -> str:
 
 
 def part_sentences(record: RecordReport) -> list[str]:
-    """The parts of a file that may be analysed in place of the whole, as they are written on the command line."""
     sentences = []
     for what, words in (("in flight", "parts in flight"), ("manoeuvre", "manoeuvres")):
         if places := [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]:
@@ -69,7 +67,6 @@ def unused_columns(report: CheckReport) -> list[tuple[str, ...]]:
 
 
 def card_sentences(report: CheckReport) -> list[str]:
-    """Channels that the card adds to the files."""
     card, units = report.card, {"thrust": "N"} | {name: c.unit for name, c in STANDARD_CHANNELS.items()}
     behind = {name: f" {units[name]}".removesuffix(" 1") if name in units else " in SI" for name in card.constants}
     sentences = [f"constant from the card: {name} = {x:g}{behind[name]}" for name, x in card.constants.items()]
@@ -107,7 +104,6 @@ def left_over(report: CheckReport) -> str:
 
 
 def sampling(record: RecordReport) -> str:
-    """Samples, duration and rate."""
     rate = f"{1.0 / record.dt:.4g} Hz" if record.dt > 0.0 else "no sampling rate"
     return f"{record.samples} samples, {record.duration:.6g} s, {rate}"
 
@@ -132,10 +128,9 @@ def channel_table(record: RecordReport) -> Table:
 
 
 def check_page(report: CheckReport, source: Mapping[str, Any]) -> Report:
-    """The page; the first record's time histories stand at its top."""
     sound = [r.record for r in report.records if r.record is not None]
     wrong = [f"{r.path}: {p}" for r in report.records for p in r.problems]
-    plots = recorded(sound)
+    more, *plots = recorded(sound)
     uses = [*use_sentences(report), *(said for r in report.records for said in part_sentences(r))]
     return Report(
         title=f"Record check: {report.card.title}",
@@ -148,23 +143,22 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Report:
             section("sensors", "Do the sensors agree?", lambda: _sensors(report)),
             section("records", "The records at a glance", lambda: sound and parts.at_a_glance(sound, report.card)),
             section("channels", "Source of each channel", lambda: _channels(report)),
-            section("histories", "More records", lambda: plots[1:]),
+            section("histories", "More records", lambda: (more, plots[1:])),
             parts.provenance_section(source),
         ],
     )
 
 
-def recorded(records: Sequence[FlightRecord]) -> tuple[Plot | str, ...]:
+def recorded(records: Sequence[FlightRecord]) -> list[Any]:
     """Each record's main channels over time; the first few where there are many."""
-    shown, remark = parts.first([record.name for record in records])
-    plots = []
-    for order, record in enumerate(records[: len(shown)]):
-        known = {n: for_people(STANDARD_CHANNELS[n].unit) for n in CHANNELS if record.has(n)}
-        panels = [_panel(symbol(n), unit, factor * record[n]) for n, (unit, factor) in known.items()]
-        if panels:
-            what = "Recorded channels"
-            plots.append(parts.histories(record.name, f"time-recorded-{order}", record.time, panels, what))
-    return (*plots, remark)
+    some = [record for record in records if any(record.has(name) for name in CHANNELS)]
+
+    def drawn(k: int, _: str) -> tuple[np.ndarray, list[Panel]]:
+        units = {n: for_people(STANDARD_CHANNELS[n].unit) for n in CHANNELS if some[k].has(n)}
+        panels = [_panel(symbol(n), unit, factor * some[k][n]) for n, (unit, factor) in units.items()]
+        return some[k].time, panels
+
+    return parts.flights([record.name for record in some], "recorded", "Recorded channels", drawn)
 
 
 def _panel(name: str, unit: str, values: np.ndarray) -> Panel:
@@ -239,11 +233,9 @@ def card_page(starter: Starter, record: str, card: str, source: Mapping[str, Any
 def _guesses(starter: Starter) -> tuple[Any, ...]:
     rows = []
     for name, g in starter.found.items():
-        sign, (low, high) = (
-            "turned" if g.sign < 0 else "as it is",
-            (number(float(f(g.values)), 4) for f in (np.min, np.max)),
-        )
-        evidence = g.evidence + (f"; not taken, {doubt}" if (doubt := starter.doubt(name)) else "")
+        sign, doubt = "turned" if g.sign < 0 else "as it is", starter.doubt(name)
+        low, high = (number(float(f(g.values)), 4) for f in (np.min, np.max))
+        evidence = g.evidence + (f"; not taken, {doubt}" if doubt else "")
         rows.append((name, g.column.place, g.unit or "unknown", sign, f"{low} to {high}", evidence))
     said = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
     head = ("channel", "column", "unit", "sign", "range in the file", "evidence")
@@ -289,7 +281,6 @@ def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def worked(effect: Described) -> str:
-    """The worked example in a sentence."""
     example = effect["example"]
     given, added = (
         ", ".join(f"{name} = {shown(value)}" for name, value in values.items())
@@ -299,7 +290,6 @@ def worked(effect: Described) -> str:
 
 
 def shown(value: Any) -> str:
-    """A number, or numbers in brackets."""
     if isinstance(value, Sequence):
         return "(" + ", ".join(shown(x) for x in value) + ")"
     if math.isinf(value):

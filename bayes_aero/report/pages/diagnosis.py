@@ -34,7 +34,7 @@ from bayes_aero.report.phrases import (
     size_text,
     symbol,
 )
-from bayes_aero.report.plots import MODELS
+from bayes_aero.report.plots import MODELS, Panel
 from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, in_brackets, or_dash, table
 
 if TYPE_CHECKING:
@@ -201,7 +201,6 @@ def _noise(d: Diagnosis) -> list[str]:
 
 
 def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:
-    """The hidden effects, and whether they were found."""
     texts = []
     for name, values in effects.items():
         units = {p.name: p.unit for p in CATALOGUE[name].parameters}
@@ -211,7 +210,6 @@ def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str
 
 
 def change_sentences(changes: Sequence[ParameterChange]) -> list[str]:
-    """Parameters that change according to a diagnosis: when, by how much, and possible reasons."""
     texts = []
     for c in changes:
         begin, end = c.interval
@@ -270,7 +268,6 @@ def _rms(output: str, value: float) -> str:
 
 
 def tested_sentences(d: Diagnosis) -> list[str]:
-    """The error of each output against the noise of its sensor, from trajectories alone."""
     if d.tested is None or not d.tested.outputs:
         return []
     of = d.tested.outputs
@@ -301,7 +298,6 @@ def _doubtful(d: Diagnosis) -> str:
 
 
 def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
-    """Whether the band confirms the causes."""
     if sizes is None:
         return ()
     band = band_text(sizes)
@@ -497,7 +493,6 @@ def holdout_table(unseen: HoldoutScores) -> Table:
 
 
 def moves_table(view: View) -> Table:
-    """The card's own parameters before and after."""
     rows = [(name, m, *for_people(m.unit)) for name, m in view.moves.items()]
     moved = [(m.after - m.before) / m.sd_after if m.sd_after > 0.0 else None for _, m, *_ in rows]
     columns = [
@@ -567,7 +562,7 @@ def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
         doubts=parts.doubts(result.consistency, result.health, result.failures, corrects=whole is not None),
         sections=[
             parts.records_section(card, context.records, result.health),
-            section("causes", "Causes of the model error", lambda: _causes(view, context, gallery)),
+            section("causes", "Causes of the model error", lambda: _causes(view, context)),
             section("gain", "Gain of the extended model on hold-out data", lambda: whole and _gain(whole, gallery)),
             section("open", "What is open", lambda: _open(d, context) if whole else in_full),
             section("fit", "Measured and simulated coefficients", lambda: whole and _coefficients(whole)),
@@ -582,7 +577,7 @@ def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
     )
 
 
-def _causes(view: DiagnosisView, context: parts.PageContext, gallery: Gallery) -> list[Any]:
+def _causes(view: DiagnosisView, context: parts.PageContext) -> list[Any]:
     d = view.diagnosis
     shared = "; rivals (last column) share it" if any(c.ambiguous_with for c in d.causes) else ""
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in view.rankings]
@@ -645,11 +640,12 @@ def _open(d: Diagnosis, context: parts.PageContext) -> list[Any]:
 
 
 def _coefficients(view: View) -> list[Any]:
-    shown, more = parts.first(view.names)
-    lateral, plots = bool(set(LATERAL) & set(view.coefficients)), []
+    lateral = bool(set(LATERAL) & set(view.coefficients))
     what = "Coefficients measured and simulated by the card's and the extended model, and the controls,"
-    for order, name in enumerate(shown):
+
+    def drawn(order: int, _: str) -> tuple[np.ndarray, list[Panel]]:
         mine = view.manoeuvre == order
-        panels = coefficient_panels(view, order) + parts.context_panels(view.channels, mine, lateral=lateral)
-        plots.append(parts.histories(name, f"time-coefficients-{order}", view.time[mine], panels, what))
-    return [WORDS["paragraphs"]["coefficients"], more, plots]
+        context = parts.context_panels(view.channels, mine, lateral=lateral)
+        return view.time[mine], coefficient_panels(view, order) + context
+
+    return [WORDS["paragraphs"]["coefficients"], parts.flights(view.names, "coefficients", what, drawn)]

@@ -83,7 +83,6 @@ def white_posterior(run: Identification) -> Posterior | None:
 
 
 def label_of(key: str) -> str:
-    """Name of an engine or of a noise model for readers."""
     return LABELS.get(key, key)
 
 
@@ -107,7 +106,6 @@ def bounds(mle: MleResult, sd: np.ndarray) -> dict[str, Estimate]:
 
 
 def usable(mle: MleResult) -> bool:
-    """Whether the numbers of a fit are usable."""
     return mle.status.name in ("CONVERGED", "AT_BOUND")
 
 
@@ -330,7 +328,6 @@ MIN_ERRORS = 3.0  # standard errors from zero from which a sign is wrong
 
 
 def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
-    """A sentence for each prior that the record contradicts."""
     return [sentence("prior_conflict", c=c, unit=unit_behind(c.unit)) for c in conflicts]
 
 
@@ -346,7 +343,6 @@ def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -
 
 
 def bound_sentences(bound: Sequence[ActiveBound]) -> list[str]:
-    """A sentence for each parameter at its bound."""
     sentences = []
     for b in bound:
         shifts = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.shifts.items())
@@ -357,7 +353,6 @@ def bound_sentences(bound: Sequence[ActiveBound]) -> list[str]:
 
 
 def inseparable_sentences(sets: Sequence[Inseparable]) -> list[str]:
-    """A sentence for each set of parameters that the record cannot separate."""
     sentences = []
     for alike in sets:
         three = zip(alike.names, alike.units, alike.estimates, strict=True)
@@ -401,7 +396,6 @@ def unfinished(posteriors: Mapping[str, Posterior]) -> list[str]:
 
 
 def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
-    """Chains that did not converge, and whether the samplers of one density agree."""
     sentences = unfinished(posteriors)
     for (a, one), (b, two) in combinations([pair for pair in posteriors.items() if pair[0] != "white"], 2):
         pairs = {n: (one.marginals[n], two.marginals[n]) for n in one.names if n in two.marginals}
@@ -419,7 +413,6 @@ def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
 
 
 def band_text(fit: FrequencyFit | CausesInBand) -> str:
-    """The band for people."""
     return f"{number(fit.band[0], 2)} to {number(fit.band[1], 2)} Hz"
 
 
@@ -444,7 +437,6 @@ def frequency_columns(names: Sequence[str], fit: FrequencyFit, head: str | None 
 
 
 def frequency_sentences(fit: FrequencyFit) -> tuple[str, ...]:
-    """What drops out of a fit in a band, and whether it agrees with the time domain."""
     what = f"{fit.method.capitalize()} in the frequency domain, {band_text(fit)}, {fit.lines} frequencies"
     if not fit.converged:
         return (f"{what}: the parameters are not determined there; use a wider band.",)

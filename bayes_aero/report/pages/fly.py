@@ -165,7 +165,6 @@ def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
 
 
 def prior_text(prior: Prior | None) -> str:
-    """A prior, and whether it is the default or the card's."""
     if prior is None:
         return "none"
     location, scale, end = (number(x, 4) for x in (prior.location, prior.scale, prior.location + prior.scale))
@@ -230,7 +229,6 @@ QUANTITIES = {
 
 
 def mode_table(motion: Motion) -> Table:
-    """Period and damping, or times, of every mode of motion."""
     rows: list[tuple[str, str, Estimate | None]] = []
     for mode in motion.modes:  # people read the times of what does not oscillate, of a spiral the times to half, double
         read = ("period", "damping_ratio") if mode.eigenvalue.imag > 0.0 else ("time_constant",)
@@ -252,7 +250,6 @@ def mode_table(motion: Motion) -> Table:
 
 
 def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
-    """The page; nothing on it but the fit's own numbers."""
     result = context.result
     verdict, *rest = result.sentences
     card, motion = context.card, result.motion
@@ -319,20 +316,22 @@ def _lead(flown: TrajectoryFit) -> Text:
 
 
 def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:
-    shown, remark = parts.first(flown.manoeuvres)
-    what, plots = "Measured outputs, those simulated from the first values and by the fit, and the inputs", []
+    what = "Measured outputs, those simulated from the first values and by the fit, and the inputs"
     flights = flown.fit.flown.flights
-    inputs = [n for n in flown.fit.flown.dynamics.inputs if n in flown.units and n in flights.channels]
-    for order, name in enumerate(shown):
+    known = (n for n in flown.fit.flown.dynamics.inputs if n in flown.units and n in flights.channels)
+    inputs = [n for n in known if n not in flown.outputs]  # states and outputs have panels already
+
+    def drawn(order: int, name: str) -> tuple[np.ndarray, list[Panel]]:
         paths = {label: flown.path(name, model) for model, label in FLOWN.items()}
         panels = output_panels(paths, units)
-        for channel in (n for n in inputs if n not in flown.outputs):  # states and outputs have panels already
+        for channel in inputs:
             unit, factor = for_people(flown.units[channel])
             values = factor * np.asarray(flights.channels[channel], float)[flights.manoeuvre == order]
             if np.ptp(values) > 0.0:
                 line = Line("measured", COLOURS["measured"], values)
                 panels.append(Panel(symbol(channel), unit, (line,), height=LOW))
-        plots.append(parts.histories(name, f"time-flown-{order}", paths["fitted model"].time, panels, what))
+        return paths["fitted model"].time, panels
+
     free = flown.setting.initial is None
     text = sentence(
         "flown",
@@ -340,4 +339,4 @@ def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:
         initial="measured" if free else "fixed",
         fitted="parameters and initial state" if free else "parameters",
     )
-    return [text + trajectories.tolerance_band(flown.paths), remark, plots]
+    return [text + trajectories.tolerance_band(flown.paths), parts.flights(flown.manoeuvres, "flown", what, drawn)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -76,7 +76,6 @@ def _answer(sensors: Consistency, *, corrects: bool) -> str:
 
 
 def joint_text(joint: Mapping[str, float]) -> str:
-    """Other errors with the correlation of the estimates."""
     return several(f"{other} (correlation {correlation:+.2f})" for other, correlation in joint.items())
 
 
@@ -110,13 +109,11 @@ def _among(error: OpenError) -> str:
 
 
 def error_sizes(error: Mapping[str, Any]) -> str:
-    """A sensor error's parameters with their standard errors."""
     listed = error["parameters"].items()
     return ", ".join(f"{name} {size_text(size['mean'], size['sd'], size['unit'])}" for name, size in listed)
 
 
 def warnings(sentences: Iterable[str]) -> list[Text]:
-    """Sentences that are read first."""
     return [Text(one, "warning") for one in sentences]
 
 
@@ -197,7 +194,6 @@ def symbols(card: Card, parameters: Iterable[Parameter], names: Iterable[str], *
 
 
 def not_testable_list(reasons: Mapping[str, str]) -> Fold | None:
-    """Every effect that is not testable, by reason, folded."""
     listed: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         listed.setdefault(reason, []).append(name)
@@ -207,7 +203,6 @@ def not_testable_list(reasons: Mapping[str, str]) -> Fold | None:
 
 
 def terms(table: str) -> Fold | None:
-    """A glossary of `words.toml` behind a line that opens it."""
     return fold("Terms used here", Facts(tuple(WORDS[table].items())))
 
 
@@ -216,12 +211,6 @@ def terms(table: str) -> Fold | None:
 MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
 CONTEXT = ("alpha", "elevator", "stabilizer", "q", "thrust", "airspeed")
 SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
-
-
-def first(names: Sequence[str]) -> tuple[Sequence[str], str]:
-    """The manoeuvres whose time histories are shown, and the sentence that says so where there are more."""
-    more = f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown." if len(names) > MOST_SHOWN else ""
-    return names[:MOST_SHOWN], more
 
 
 def context_panels(channels: Mapping[str, Any], mine: np.ndarray, *, lateral: bool) -> list[Panel]:
@@ -242,11 +231,19 @@ def histories(name: str, key: str, time: np.ndarray, panels: Sequence[Panel], wh
     return Plot(linked(time - time[0], panels, key), tuple(dict.fromkeys(legend)), alt, caption, name)
 
 
+def flights(
+    names: Sequence[str], key: str, what: str, drawn: Callable[[int, str], tuple[np.ndarray, Sequence[Panel]]]
+) -> list[Any]:
+    """The `histories` of the first manoeuvres, of which `drawn` gives time and panels, and whether there are more."""
+    shown = [(name, f"time-{key}-{k}", *drawn(k, name)) for k, name in enumerate(names[:MOST_SHOWN])]
+    more = f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown." if len(names) > MOST_SHOWN else ""
+    return [more, *(histories(*each, what) for each in shown)]
+
+
 # --- The stall in numbers.
 
 
 def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
-    """Median and 95 % interval."""
     low, middle, high = (f"{factor * x:.{places}f}" for x in (value.low, value.median, value.high))
     return f"{middle} ({low} to {high})"
 

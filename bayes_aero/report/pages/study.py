@@ -45,7 +45,6 @@ class StudyContext:
 
 
 def study_page(context: StudyContext) -> Report:
-    """The page of a study, from its tables."""
     estimated = estimates(context.units, context.results)
     return Report(
         title=f"Study: {context.title}",
@@ -200,7 +199,6 @@ def panels_of(estimated: list[AcrossUnits]) -> Iterator[tuple[str, list[AcrossUn
 
 @housed
 def across(estimated: list[AcrossUnits]) -> Figure:
-    """A panel for each parameter: estimate and 95 % interval of every unit, by its number."""
     groups = [group for group in panels_of(estimated) if group[1]][:MOST_PANELS]
     if not groups:
         raise NotDrawn("no unit has an estimate")
