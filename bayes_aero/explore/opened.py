@@ -201,8 +201,6 @@ def export_chosen(
     return target, write_export(found, form, target)["files"]
 
 
-# --- A linear system on the page: a group of sliders for each of its rows.
-
 LIMITS = (
     "The card states a linear system: it has no effects to switch or to add, no coefficients, and no form in another "
     "simulator."
@@ -224,8 +222,6 @@ def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple
             groups.append(SliderGroup(title, f"{title} of the linear system", False, sliders, switch=False))
     return tuple(groups)
 
-
-# --- Ranges of the sliders: about the estimate by its standard error, within the parameter's bounds.
 
 ERRORS = 5.0  # standard errors to either side
 SHARE = 0.3  # of the value, at least: a parameter known to 0.1 % still moves something to see
@@ -354,13 +350,10 @@ class Simulator:
         theta = jnp.asarray(list(values.values()))
         flown, residuals, departure = self._prepared(manoeuvre, choice, values)
         simulated, inside, formed, modelled, X = _fly(flown, residuals, theta, jnp.asarray(departure))
-        found: dict[str, Any] = {}
-        measured: dict[str, Any] = {}
-        if residuals is not None:
-            names = residuals.model.coefficients
-            found = dict(zip(names, np.asarray(modelled).T, strict=True)) | {"X": np.asarray(X)}
-            measured = dict(zip(names, np.asarray(formed).T, strict=True))
-        paths = dict(zip(flown.outputs, np.asarray(simulated).T, strict=True))
+        paths, found = _named(flown, residuals, simulated, modelled, X)
+        measured = (
+            {} if residuals is None else dict(zip(residuals.model.coefficients, np.asarray(formed).T, strict=True))
+        )
         return Flown(values, paths, found, measured, np.asarray(inside))
 
     def fan(self, manoeuvre: int, count: int = DRAWS, seed: int = 0) -> tuple[str, dict[str, np.ndarray]]:
@@ -373,11 +366,8 @@ class Simulator:
                 theta[:, list(values).index(name)] = draws.values[:, k]
         flown, residuals, departure = self._prepared(manoeuvre, Choice(), values)
         simulated, _, _, modelled, X = _fly_draws(flown, residuals, jnp.asarray(theta), jnp.asarray(departure))
-        found = dict(zip(flown.outputs, np.moveaxis(np.asarray(simulated), 2, 0), strict=True))
-        if residuals is not None:
-            found |= dict(zip(residuals.model.coefficients, np.moveaxis(np.asarray(modelled), 2, 0), strict=True))
-            found["X"] = np.asarray(X)
-        return draws.origin, found
+        paths, found = _named(flown, residuals, simulated, modelled, X)
+        return draws.origin, paths | found
 
     def _structure(self, choice: Choice) -> FlownModel:
         key = choice.added, choice.off
@@ -425,6 +415,17 @@ class Simulator:
                     self.no_coefficients = f"Coefficients are not shown: {reason}."
             self._ready[key] = replace(alone, **cut), residuals, departure
         return self._ready[key]
+
+
+def _named(
+    flown: SegmentTrajectories, residuals: EquationError | None, simulated: Any, modelled: Any, X: Any
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Outputs, and coefficients with the separation point, whose names are along the last axis."""
+    paths = dict(zip(flown.outputs, np.moveaxis(np.asarray(simulated), -1, 0), strict=True))
+    if residuals is None:
+        return paths, {}
+    modelled = np.moveaxis(np.asarray(modelled), -1, 0)
+    return paths, dict(zip(residuals.model.coefficients, modelled, strict=True)) | {"X": np.asarray(X)}
 
 
 def _one(flown: SegmentTrajectories, residuals: EquationError | None, theta: Any, departure: Any) -> tuple:

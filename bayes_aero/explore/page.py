@@ -231,8 +231,6 @@ def _part(name: str) -> str:
     return (resources.files("bayes_aero.explore") / "templates" / name).read_text(encoding="utf-8")
 
 
-# --- What the browser asks, checked.
-
 MOST_CHARACTERS = 100_000
 
 
@@ -388,11 +386,9 @@ def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
         f: Any = view.figure
         f.xaxis.visible, f.grid.grid_line_color, f.outline_line_color = last, "#dddddd", "#bbbbbb"
         for axis in (f.xaxis, f.yaxis):
-            axis.update(
-                axis_label_text_font_size="13px", axis_label_text_font_style="normal", minor_tick_line_color=None
-            )
+            axis.update(axis_label_text_font_size="13px", major_label_text_font_size="12px", minor_tick_line_color=None)
             axis.update(axis_label_text_color="#222222", major_label_text_color="#222222")
-            axis.major_label_text_font_size = "12px"
+            axis.axis_label_text_font_style = "normal"
         f.yaxis.ticker.desired_num_ticks = 3
         if last:
             f.xaxis.axis_label = "time of the record [s]"

@@ -16,7 +16,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from bayes_aero import __version__
@@ -144,15 +144,10 @@ def section(key: str, title: str, make: Callable[[], Any]) -> Section:
 
 
 def render(page: Report) -> str:
-    environment = Environment(
-        loader=PackageLoader("bayes_aero.report", "templates"),
-        autoescape=select_autoescape(default=True, default_for_string=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    loader = PackageLoader("bayes_aero.report", "templates")
+    env = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     plots = [*_plots(page.lead), *(plot for section in page.sections for plot in _plots(section.blocks))]
-    environment.filters |= {"breakable": _breakable, "kind": lambda block: type(block).__name__}
+    env.filters |= {"breakable": _breakable, "kind": lambda block: type(block).__name__}
     numbers = {id(plot): number for number, plot in enumerate(plots)}
     data = json.dumps([plot.item for plot in plots], separators=(",", ":"), allow_nan=True)
     for sign in "<>&\u2028\u2029":  # so that it cannot end the script element around it
@@ -162,7 +157,7 @@ def render(page: Report) -> str:
         from bokeh.resources import Resources
 
         library = Markup("\n".join(Resources(mode="inline", components=["bokeh", "bokeh-api"]).js_raw))
-    return environment.get_template("page.html").render(
+    return env.get_template("page.html").render(
         page=page,
         library=library,
         plots=Markup(data),
@@ -201,9 +196,6 @@ def _plots(blocks: Iterable[Block]) -> Iterable[Plot]:
             yield from _plots(block.blocks)
 
 
-# --- A table of numbers as a page shows it.
-
-
 def page_table(table: Table) -> HtmlTable:
     """The columns that have a heading on a page, every cell as text."""
     shown = [(head, c, values) for c in table.columns for head, values in c.under(c.page)]
@@ -223,14 +215,12 @@ def page_table(table: Table) -> HtmlTable:
     )
 
 
-# --- Figures of a run, embedded in the page.
-
 CSS_INCH = 96.0  # pixels of a screen in which a font has its nominal size
 
 
-class Gallery:
-    def __init__(self, paths: Mapping[str, Path], captions: Mapping[str, str]) -> None:
-        self.paths, self.captions = paths, captions
+class Gallery(NamedTuple):
+    paths: Mapping[str, Path]
+    captions: Mapping[str, str]
 
     def __call__(self, *stems: str) -> tuple[Picture, ...]:
         """The pictures of these stems that were drawn."""

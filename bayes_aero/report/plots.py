@@ -63,9 +63,9 @@ class Panel:
         return f"{self.name} {bracket(self.unit)}"
 
 
-def measured_panel(channel: str, values: np.ndarray, **look: Any) -> Panel:
-    """A recorded channel (SI) by itself."""
-    name, unit, factor = channel_axis(channel)
+def measured_panel(channel: str, values: np.ndarray, si: str = "", **look: Any) -> Panel:
+    """A recorded channel (SI) by itself; `si`: its unit, if it is no standard channel."""
+    name, unit, factor = channel_axis(channel, si)
     return Panel(name, unit, (Line("measured", COLOURS["measured"], factor * values),), **look)
 
 

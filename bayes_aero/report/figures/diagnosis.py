@@ -135,10 +135,6 @@ def autocorrelation(parts: list[Float[np.ndarray, " _"]], longest: int) -> tuple
     return lags, np.array(products) / max(products[0], 1e-300)
 
 
-# --- A diagnosis in one figure: the largest error of the card's model, the screening, the error of the extended
-# model.
-
-
 @style.housed
 def found(view: View) -> Figure:
     """The quantity with the largest gain, its error by each model shaded, and the deciding screening."""
@@ -204,9 +200,7 @@ def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:
         ax.barh(y, 100.0 * s.explains, height=0.75, color=colour, alpha=0.45 if chance else 1.0)
         if s.effect in named:
             sizes = {n: size_text(x.mean, x.sd, x.unit) for n, x in named[s.effect].parameters.items()}
-            text = (
-                "\n".join(f"{n} = {size}" for n, size in sizes.items()) if len(sizes) > 1 else "".join(sizes.values())
-            )
+            text = "\n".join(f"{n} = {size}" if len(sizes) > 1 else size for n, size in sizes.items())
         size = 6.0 if "\n" in text else 7.5
         ax.text(1.02 * widest, y, text, ha="right", va="center", fontsize=size, bbox=TIGHT, zorder=5)
     _rows_of(ax, [s.effect for s in leaders])

@@ -23,7 +23,6 @@ FIGURES: dict[str, Drawing] = dict(sorted((posterior.FIGURES | time_histories.FI
 DIAGNOSIS_FIGURES: ViewFigures = (
     diagnosis.DIAGNOSIS_FIGURES | posterior.DIAGNOSIS_FIGURES | {"trajectories_hold_out": time_histories.hold_out}
 )
-"""What a diagnosis shows."""
 AFTER_TRAJECTORIES = ("found", "trajectories_hold_out")
 """Those of a diagnosis that need trajectories, or show them if they are there."""
 

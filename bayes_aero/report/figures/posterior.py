@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import arviz_base as azb
@@ -46,8 +47,7 @@ def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
 
 
 def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: Any) -> Figure:
-    with style.quiet_pyplot():
-        plots = style.arviz_plots()
+    with style.arviz_plots() as plots:
         layout = {"figsize": size, "figsize_units": "inches"}
         collection = getattr(plots, f"plot_{kind}")(tree, backend="matplotlib", figure_kwargs=layout, **options)
         figure = collection.get_viz("figure")
@@ -264,22 +264,6 @@ def crb_vs_credible(identification: Identification) -> Figure:
 
 CORRELATIONS = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
 CORRELATIONS |= {name: f"correlation_{name}" for name in LATERAL}
-"""The figure of a coefficient measured against predicted."""
-FIGURES: dict[str, style.Drawing] = {
-    f"{kind}_{engine}": style.housed(partial(_chains, kind=kind, engine=engine))
-    for engine in ("emcee", "nuts")
-    for kind in ("trace", "rank")
-}
-FIGURES |= {
-    "pair": lambda run: pair_of(chosen_posteriors(run)),
-    "pit": pit_histogram,
-    "fig5_stall_hysteresis": hysteresis,
-}
-FIGURES |= {stem: style.housed(partial(_correlation, name=name)) for name, stem in CORRELATIONS.items()}
-FIGURES |= {"forest": forest, "crb_vs_credible": crb_vs_credible}
-
-
-# --- Priors against posteriors.
 
 WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
 
@@ -406,11 +390,8 @@ def _stall(models: Sequence[StallModel], manoeuvre: np.ndarray, seconds: float) 
     for number, (title, colour, flown, s) in enumerate(models):
         (lift, polar), (time, spare) = axes[2 * number], axes[2 * number + 1]
         spare.remove()
-        whose, alpha, measured = (
-            f", {title}" if title else "",
-            np.rad2deg(flown["alpha"]),
-            np.asarray(flown["measured"]),
-        )
+        whose, alpha = f", {title}" if title else "", np.rad2deg(flown["alpha"])
+        measured = np.asarray(flown["measured"])
         rising, degrees = np.asarray(flown["alpha_dot"]) > 0.0, np.rad2deg(s.alpha)
         for key, mask in (("rising", rising), ("falling", ~rising)):
             dots: dict[str, Any] = {"marker": ".", "ls": "none", "alpha": 0.5, "color": COLOURS[key]}
@@ -463,12 +444,20 @@ def _separation(models: Sequence[StallModel], *_: Any) -> Figure:
     return figure
 
 
-FIGURES |= {
+FIGURES: dict[str, style.Drawing] = {
+    "pair": lambda run: pair_of(chosen_posteriors(run)),
+    "pit": pit_histogram,
+    "fig5_stall_hysteresis": hysteresis,
+    "forest": forest,
+    "crb_vs_credible": crb_vs_credible,
     "prior_posterior": prior_posterior,
     "gp_prior_posterior": gp_prior_posterior,
     "stall": style.housed(lambda run: _stall(*_of_run(run))),
     "separation": style.housed(lambda run: _separation(*_of_run(run))),
 }
+FIGURES |= {stem: style.housed(partial(_correlation, name=name)) for name, stem in CORRELATIONS.items()}
+for kind, engine in product(("trace", "rank"), ("emcee", "nuts")):
+    FIGURES[f"{kind}_{engine}"] = style.housed(partial(_chains, kind=kind, engine=engine))
 DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
     "stall_models": style.housed(lambda view: _stall(*_of_view(view))),
     "separation_models": style.housed(lambda view: _separation(*_of_view(view))),

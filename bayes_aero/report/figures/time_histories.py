@@ -74,9 +74,6 @@ def draw_panel(ax: Axes, time: np.ndarray, panel: Panel) -> None:
     ax.text(0.01, 0.95, panel.note, transform=ax.transAxes, va="top", **style.NOTE)
 
 
-# --- Of an identification: manoeuvres, and coefficients at the chosen split's test points.
-
-
 @style.housed
 def time_history(identification: Identification) -> Figure:
     """Recorded channels: one column per manoeuvre, one row per channel, angles in degrees."""
@@ -157,10 +154,8 @@ def gpr_fit(identification: Identification) -> Figure:
 VALIDATIONS = {"CL": "fig3_validation_CL", "CD": "fig6_validation_CD", "Cm": "fig8_validation_Cm"}
 VALIDATIONS |= {name: f"validation_{name}" for name in LATERAL}
 FIGURES = {"fig1_time_history": time_history, "fig2_gpr_fit": gpr_fit}
-FIGURES |= {
-    stem: style.housed(partial(_over_time, title=f"Validation of {name}", names=(name,), errors=True))
-    for name, stem in VALIDATIONS.items()
-}
+for name, stem in VALIDATIONS.items():
+    FIGURES[stem] = style.housed(partial(_over_time, title=f"Validation of {name}", names=(name,), errors=True))
 
 
 # --- Simulated trajectories over the measured ones: of `fly`, and of `diagnose` before and after the extension.
@@ -194,7 +189,6 @@ def _simulated(output: str, flown: TrajectoryFit) -> Figure:
 
 
 MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "buffet": "buffet [CL of separated flow]"}
-"""Gusts by name, as people call them."""
 
 
 @style.housed
@@ -217,8 +211,6 @@ def gusts(disturbed: ProcessNoise) -> Figure:
     figure.suptitle("Estimated gusts, with 95 % bands", fontsize=10.0)
     return figure
 
-
-# --- Frequency responses of a linear card, measured and modelled.
 
 KNOWN = 0.3  # largest standard error, of the value, with which a measured response is shown
 DECIBEL = 20.0 / math.log(10.0)  # of a relative change

@@ -12,15 +12,8 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import Agreement
 from bayes_aero.report.page import HtmlTable, Plot, Report, fold, section
 from bayes_aero.report.pages import parts
-from bayes_aero.report.phrases import (
-    for_people,
-    not_testable_sentences,
-    sentence,
-    several,
-    symbol,
-    unit_behind,
-)
-from bayes_aero.report.plots import COLOURS, Line, Panel
+from bayes_aero.report.phrases import for_people, not_testable_sentences, sentence, several, unit_behind
+from bayes_aero.report.plots import COLOURS, Line, Panel, measured_panel
 from bayes_aero.report.table import Column, Table, columns_of
 from bayes_aero.units import number
 
@@ -151,18 +144,9 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Report:
 
 def recorded(records: Sequence[FlightRecord]) -> list[Any]:
     """Each record's main channels over time; the first few where there are many."""
-    some = [record for record in records if any(record.has(name) for name in CHANNELS)]
-
-    def drawn(k: int, _: str) -> tuple[np.ndarray, list[Panel]]:
-        units = {n: for_people(STANDARD_CHANNELS[n].unit) for n in CHANNELS if some[k].has(n)}
-        panels = [_panel(symbol(n), unit, factor * some[k][n]) for n, (unit, factor) in units.items()]
-        return some[k].time, panels
-
-    return parts.flights([record.name for record in some], "recorded", "Recorded channels", drawn)
-
-
-def _panel(name: str, unit: str, values: np.ndarray) -> Panel:
-    return Panel(name, unit, (Line("recorded", COLOURS["measured"], values),))
+    some = [(r.name, r.time, [measured_panel(n, r[n]) for n in CHANNELS if r.has(n)]) for r in records]
+    some = [each for each in some if each[-1]]
+    return parts.flights([name for name, *_ in some], "recorded", "Recorded channels", lambda k, _: some[k][1:])
 
 
 def _sensors(report: CheckReport) -> tuple[Any, ...]:
@@ -186,8 +170,6 @@ def _channels(report: CheckReport) -> list[Any]:
     return [*tables, card_sentences(report)]
 
 
-# --- The report of a starter card: which column was taken for what, why, and what only its user can know.
-
 MOST_PANELS = 16
 
 
@@ -202,7 +184,8 @@ def card_page(starter: Starter, record: str, card: str, source: Mapping[str, Any
     def drawn(key: str, what: str, columns: Iterable[tuple[str, str | None, np.ndarray | None]]) -> Plot | None:
         """Columns over time, if that is known."""
         same = [(name, unit, x) for name, unit, x in columns if x is not None and len(x) == len(time)]
-        panels = [_panel(name, unit or "unit?", x) for name, unit, x in same][:MOST_PANELS]
+        shown = [(name, unit or "unit?", (Line("recorded", COLOURS["measured"], x),)) for name, unit, x in same]
+        panels = [Panel(*each) for each in shown[:MOST_PANELS]]
         known = panels and len(time) > 1 and np.all(np.diff(time) > 0.0)
         return parts.histories(record, key, time, panels, what) if known else None
 
@@ -242,13 +225,7 @@ def _guesses(starter: Starter) -> tuple[Any, ...]:
     return (said, HtmlTable("Guesses", head, tuple(rows), words=(5,))) if rows else ()
 
 
-# --- An effect of the catalogue on a terminal.
-
-Described = Mapping[str, Any]
-"""An effect as the catalogue describes it."""
-
-
-def facts(effect: Described) -> list[tuple[str, str]]:
+def facts(effect: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Name and text of what holds for the effect as a whole."""
     channel = effect["stage"] == "channel"
     stage = "acts on the recorded channels" if channel else f"acts at the stage {effect['stage']}"
@@ -280,7 +257,7 @@ def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
     return known
 
 
-def worked(effect: Described) -> str:
+def worked(effect: Mapping[str, Any]) -> str:
     example = effect["example"]
     given, added = (
         ", ".join(f"{name} = {shown(value)}" for name, value in values.items())

@@ -24,13 +24,12 @@ from bayes_aero.report.phrases import (
     unit_behind,
     unparted,
 )
-from bayes_aero.report.plots import COLOURS, FLOWN, LOW, Line, Panel, output_panels
+from bayes_aero.report.plots import FLOWN, LOW, Panel, measured_panel, output_panels
 from bayes_aero.report.table import NONE, Column, Estimate, Table, in_brackets, or_dash, parameter_columns, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import Disagreement, Motion, ProcessNoise, TrajectoryFit
-    from bayes_aero.inference.results import Posterior
+    from bayes_aero.diagnosis.result import Disagreement, Motion, TrajectoryFit
     from bayes_aero.parameter import Prior
 
 START, FITTED = FLOWN
@@ -121,8 +120,6 @@ def motion_sentences(motion: Motion | None) -> list[str]:
     return sentences + ([sentence("rate_undecided", names=undecided)] if undecided else [])
 
 
-# --- Tables: parameters, errors, tolerances, initial states.
-
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
 MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
 
@@ -205,19 +202,13 @@ def initial_table(flown: TrajectoryFit) -> Table:
     free, by_factor = flown.setting.initial is None, list(zip(rows, factors, strict=True))
     values = [factor * value for (*_, value, _), factor in by_factor]
     columns = [
-        Column([_label(flown, state) for _, state, *_ in rows], page="state"),
+        Column([axis_label(state, flown.units.get(state, "1")) for _, state, *_ in rows], page="state"),
         Column(values, page="fitted" if free else "value", form=4),
     ]
     if free:
         columns.append(Column([f * departure for (*_, departure), f in by_factor], page="departure", form="+.2g"))
     return table("initial_fitted" if free else "initial_fixed", columns, below=[row[0] for row in rows])
 
-
-def _label(flown: TrajectoryFit, channel: str) -> str:
-    return axis_label(channel, flown.units.get(channel, "1"))
-
-
-# --- Modes of motion.
 
 QUANTITIES = {
     "period": "period, s",
@@ -246,9 +237,6 @@ def mode_table(motion: Motion) -> Table:
     return table("modes", columns, equations=linear if math.isnan(motion.airspeed) else about, estimates=of)
 
 
-# --- The page.
-
-
 def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
     result = context.result
     verdict, *rest = result.sentences
@@ -259,6 +247,16 @@ def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
     of_path = "Flight path", "Errors of sensors, from recorded accelerations and rates"
     of_model = "Trajectories", "A model fitted to trajectories by output error"
     title, subtitle = of_path if flown.of_path else of_model
+    posteriors, about = result.posteriors, WORDS["paragraphs"]["posterior"]
+
+    def predictions() -> Any:
+        of = result.process_noise and result.process_noise.one_step
+        return of and (trajectories.prediction_sentences(of), trajectories.one_step_table(of, flown.units))
+
+    def posterior() -> Any:
+        unsure = parts.warnings(estimates.unfinished(posteriors))
+        return posteriors and (unsure, about, trajectories.posterior_table(posteriors), gallery("pair"))
+
     return Report(
         title=f"{title}: {card.title}",
         subtitle=subtitle,
@@ -273,8 +271,8 @@ def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
             section("parameters", "Parameters", lambda: _parameters(flown, context, gallery)),
             section("frequency", "In the frequency domain", lambda: (bands, gallery("bode"))),
             section("motion", "Modes of motion", lambda: mode_table(motion) if motion and motion.modes else None),
-            section("predictions", "One-step predictions", lambda: _predictions(flown, result.process_noise)),
-            section("posterior", "Posterior", lambda: _posterior(result.posteriors, gallery)),
+            section("predictions", "One-step predictions", predictions),
+            section("posterior", "Posterior", posterior),
             parts.provenance_section(context.source, folded=True),
         ],
     )
@@ -289,19 +287,6 @@ def _parameters(flown: TrajectoryFit, context: parts.PageContext, gallery: Galle
         parts.symbols(context.card, fit.parameters, fit.names),
         initial_table(flown),
     ]
-
-
-def _predictions(flown: TrajectoryFit, disturbed: ProcessNoise | None) -> Any:
-    if disturbed is None or disturbed.one_step is None:
-        return None
-    of = disturbed.one_step
-    return trajectories.prediction_sentences(of), trajectories.one_step_table(of, flown.units)
-
-
-def _posterior(posteriors: Mapping[str, Posterior], gallery: Gallery) -> Any:
-    doubts = parts.warnings(estimates.unfinished(posteriors))
-    about = WORDS["paragraphs"]["posterior"]
-    return (doubts, about, trajectories.posterior_table(posteriors), gallery("pair")) if posteriors else None
 
 
 def _lead(flown: TrajectoryFit) -> Text:
@@ -325,11 +310,9 @@ def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:
         paths = {label: flown.path(name, model) for model, label in FLOWN.items()}
         panels = output_panels(paths, units)
         for channel in inputs:
-            unit, factor = for_people(flown.units[channel])
-            values = factor * np.asarray(flights.channels[channel], float)[flights.manoeuvre == order]
+            values = np.asarray(flights.channels[channel], float)[flights.manoeuvre == order]
             if np.ptp(values) > 0.0:
-                line = Line("measured", COLOURS["measured"], values)
-                panels.append(Panel(symbol(channel), unit, (line,), height=LOW))
+                panels.append(measured_panel(channel, values, flown.units[channel], height=LOW))
         return paths["fitted model"].time, panels
 
     free = flown.setting.initial is None

@@ -189,9 +189,6 @@ def next_flight_table(run: Identification) -> Table:
     return table("next_flight", columns, dense=True)
 
 
-# --- The page: what stands on it, in which order.
-
-
 def identification_page(
     run: Identification,
     source: Mapping[str, Any],

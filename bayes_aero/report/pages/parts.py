@@ -92,14 +92,11 @@ def open_sentences(sensors: Consistency) -> list[str]:
     if joint := [e for e in sensors.open if e.joint]:
         listed = (f"{sizes[e.name]}, together with {joint_text(e.joint)}" for e in joint)
         sentences.append(sentence("together", listed="; ".join(listed)))
-    if alike := [e.name for e in _not_told_apart(sensors)]:
+    # not testable, for others have the same effect; those that were found say so themselves
+    rest = [e for e in sensors.open if not e.asked and not e.joint and e.name not in (sensors.errors or {})]
+    if alike := [e.name for e in rest]:
         sentences.append(sentence("alike", n=len(alike), names=alike))
     return sentences
-
-
-def _not_told_apart(sensors: Consistency) -> list[OpenError]:
-    """Errors that are not testable, for others have the same effect; those that were found say so themselves."""
-    return [e for e in sensors.open if not e.asked and not e.joint and e.name not in (sensors.errors or {})]
 
 
 def _among(error: OpenError) -> str:
@@ -130,9 +127,6 @@ def doubts(
         answer = consistency_sentences(sensors, corrects=corrects)[:1]
     faults = (f"{finding.sentence}." for finding in health if finding.grave)
     return [*warnings(failures), *blocks(*answer), *warnings(faults)]
-
-
-# --- The records at a glance, and what the model means by its parameters.
 
 
 @dataclass(frozen=True)
@@ -206,8 +200,6 @@ def terms(table: str) -> Fold | None:
     return fold("Terms used here", Facts(tuple(WORDS[table].items())))
 
 
-# --- Time histories.
-
 MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
 CONTEXT = ("alpha", "elevator", "stabilizer", "q", "thrust", "airspeed")
 SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
@@ -240,9 +232,6 @@ def flights(
     return [more, *(histories(*each, what) for each in shown)]
 
 
-# --- The stall in numbers.
-
-
 def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
     low, middle, high = (f"{factor * x:.{places}f}" for x in (value.low, value.median, value.high))
     return f"{middle} ({low} to {high})"
@@ -270,9 +259,6 @@ def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[HtmlTable | Tex
         note=sentence("stall_note", held=", ".join(held), what=what),
     )
     return (table, *warnings(limits))
-
-
-# --- Inputs, versions and the command, which reproduce the run.
 
 
 def provenance_section(

@@ -79,8 +79,6 @@ def points_sentences(asked: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(sentences) if asked["stated"] else (*sentences, sentence("no_envelope"))
 
 
-# --- Flights that would decide undecided tolerances.
-
 MOST = 6  # tests that are named in a sentence
 
 
@@ -224,8 +222,6 @@ def region_sentences(q: Qualification) -> list[str]:
     texts = texts or [sentence("inside_region", channels=q.channels)]
     return texts + ([sentence("region_unjudged", channels=q.unjudged)] if q.unjudged else [])
 
-
-# --- The page that an evaluator signs or refuses.
 
 BLANK = "\u00a0" * 30
 FLIGHTS, ORIGIN = "#56B4E9", "Origin of the tolerances"

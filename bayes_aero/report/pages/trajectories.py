@@ -116,7 +116,6 @@ def status_sentences(flown: Trajectories) -> list[str]:
 # --- Errors and time inside the tolerances, by flight and output.
 
 SPLIT_NAMES = {"fitted": "fitted", "hold_out": "hold-out"}
-"""What people read, by the split of a simulated path."""
 
 
 def error_table(
