@@ -166,11 +166,6 @@ def with_added(model: Model, added: Sequence[str]) -> Model:
     return replace(model, fixed=fixed).extended(*(name for name in added if name not in there))
 
 
-# --- The model as it stands on the page, handed to another simulator.
-
-FOLDER = "exports"
-
-
 def chosen_model(opened: OpenedResult, choice: Choice, values: Mapping[str, float]) -> Identified:
     """The model with the added effects at `values` (SI) of what is flown; what is off is fixed at neutral."""
     identified = opened.identified
@@ -195,7 +190,7 @@ def export_chosen(
     opened: OpenedResult, choice: Choice, values: Mapping[str, float], form: str
 ) -> tuple[Path, list[str]]:
     """Write the chosen model into a new folder below the result; that folder and its files. What is there stays."""
-    found, root = chosen_model(opened, choice, values), opened.folder / FOLDER
+    found, root = chosen_model(opened, choice, values), opened.folder / "exports"
     names = (f"{found.name}_{form}{'' if k == 1 else f'_{k}'}" for k in count(1))
     target = next(root / name for name in names if not (root / name).exists() and not (root / name).is_symlink())
     return target, write_export(found, form, target)["files"]
@@ -229,8 +224,7 @@ SHARE = 0.3  # of the value, at least: a parameter known to 0.1 % still moves so
 
 @dataclass(frozen=True)
 class Slider:
-    """A parameter in the unit in which people read it: where it begins, its standard error (0: unknown), its range.
-    `factor` converts SI to this unit."""
+    """A parameter in the unit in which people read it, to which `factor` converts SI; `error` 0: unknown."""
 
     name: str
     unit: str
@@ -246,9 +240,9 @@ class Slider:
 class SliderGroup:
     name: str
     claim: str
-    added: bool
+    added: bool  # to the result's model
     sliders: tuple[Slider, ...]
-    switch: bool = True
+    switch: bool = True  # whether it can be switched off
 
 
 def groups_of(
@@ -317,6 +311,7 @@ class Simulator:
         found = opened.identified
         required = found.rows.inputs if isinstance(found, IdentifiedLinear) else FLIGHT
         self.flights, _ = despiked(join(opened.flown, self.card, required))
+        self.manoeuvres = self.flights.names
         setting = opened.told.get("setting", {})
         self.held = setting.get("inputs") == HELD
         self.fixed = self.card.fly.initial_state if setting.get("initial_state") == FIXED else None
@@ -328,10 +323,6 @@ class Simulator:
         self.outputs = tuple(n for n in dynamics.outputs if n in self.flights.channels)
         self.inputs = tuple(n for n in dynamics.inputs if n in self.flights.channels and n not in self.outputs)
         self.no_coefficients = ""
-
-    @property
-    def manoeuvres(self) -> tuple[str, ...]:
-        return self.flights.names
 
     def time(self, manoeuvre: int) -> Float[np.ndarray, " n"]:
         return self.flights.time[self.flights.manoeuvre == manoeuvre]
@@ -351,9 +342,8 @@ class Simulator:
         flown, residuals, departure = self._prepared(manoeuvre, choice, values)
         simulated, inside, formed, modelled, X = _fly(flown, residuals, theta, jnp.asarray(departure))
         paths, found = _named(flown, residuals, simulated, modelled, X)
-        measured = (
-            {} if residuals is None else dict(zip(residuals.model.coefficients, np.asarray(formed).T, strict=True))
-        )
+        names = () if residuals is None else residuals.model.coefficients
+        measured = {name: np.asarray(formed)[:, k] for k, name in enumerate(names)}
         return Flown(values, paths, found, measured, np.asarray(inside))
 
     def fan(self, manoeuvre: int, count: int = DRAWS, seed: int = 0) -> tuple[str, dict[str, np.ndarray]]:

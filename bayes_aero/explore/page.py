@@ -254,8 +254,6 @@ def read_asked(text: str) -> Asked:
         raise InputError(f"the page sent what it never sends ({reason}); load it again") from None
 
 
-# --- How near a simulation is to the flight in a window of time.
-
 Series = Mapping[str, Float[np.ndarray, " n"]]
 
 
@@ -365,9 +363,7 @@ class TimePanel:
         lines = [self._drawable(time, y, MOST_FAN) for y in draws]
         self.fan.update(data={"xs": [t for t, _ in lines], "ys": [y for _, y in lines]})
 
-    def _drawable(
-        self, time: Curve, y: Curve, most: int = MOST
-    ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    def _drawable(self, time: Curve, y: Curve, most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
         """A line in the panel's unit that a canvas can take; values of a diverged simulation are gaps."""
         y = self.factor * y
         index = extremes([y], most)
@@ -399,7 +395,6 @@ def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
 # --- The server of the page: this machine alone, nothing from a network.
 
 ADDRESS = "127.0.0.1"
-FORBIDDEN = 403
 
 
 class LocalOnly(Router):
@@ -413,7 +408,7 @@ class LocalOnly(Router):
     def find_handler(self, request: HTTPServerRequest, **kwargs: object) -> HTTPMessageDelegate | None:  # noqa: ARG002
         if request.host.lower() in self.hosts:
             return self.app.find_handler(request)
-        return self.app.get_handler_delegate(request, ErrorHandler, {"status_code": FORBIDDEN})
+        return self.app.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
 
 
 class PageServer:

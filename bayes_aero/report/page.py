@@ -215,9 +215,6 @@ def page_table(table: Table) -> HtmlTable:
     )
 
 
-CSS_INCH = 96.0  # pixels of a screen in which a font has its nominal size
-
-
 class Gallery(NamedTuple):
     paths: Mapping[str, Path]
     captions: Mapping[str, str]
@@ -237,4 +234,4 @@ def picture(path: Path, caption: str) -> Picture:
     with Image.open(io.BytesIO(content)) as opened:
         width, height = opened.size
     source = "data:image/png;base64," + base64.b64encode(content).decode("ascii")
-    return Picture(source, caption, width, height, round(CSS_INCH * width / DPI))
+    return Picture(source, caption, width, height, round(96.0 * width / DPI))  # 96 pixels an inch

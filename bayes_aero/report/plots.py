@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import base64
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -35,8 +33,7 @@ LEAST = 0.5  # of a panel's height there, however many panels there are
 FARTHEST = 1e30  # single precision ends soon beyond
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """One curve in the units of its panel; `style` is solid, dashed or dotted."""
 
     label: str
@@ -46,8 +43,7 @@ class Line:
     width: float = 1.4
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """Curves over time, on a page and in a file; the first one sets the scale."""
 
     name: str
@@ -100,11 +96,6 @@ def output_panels(paths: Mapping[str, SimulatedManoeuvre], units: Mapping[str, s
         band = None if tolerance is None else factor * tolerance
         panels.append(compared_panel(symbol(output), unit, factor * first.measured[output], simulated, note, band))
     return panels
-
-
-def stem_of(output: str) -> str:
-    """The file of an output's figure, without its ending."""
-    return f"trajectory_{re.sub(r'[^A-Za-z0-9_-]', '_', output)}"
 
 
 def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> Int[np.ndarray, " m"]:

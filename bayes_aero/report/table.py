@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from bayes_aero.inference.results import Marginal
 
-
 NONE = "–"
 NORMAL95 = 1.959964
 NARROWEST = 12  # letters that a column of words keeps, if a word is as long

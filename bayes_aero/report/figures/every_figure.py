@@ -32,10 +32,7 @@ Shown = TypeVar("Shown")
 def draw_all(
     drawings: Mapping[str, Callable[[Shown], Figure]], shown: Shown, folder: Path, progress: Progress | None = None
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Draw every figure for which `shown` holds something into `folder` as PNG: paths, and a sentence on each failure.
-
-    One that fails leaves no file and does not keep the others from being drawn.
-    """
+    """Draw every figure for which `shown` holds something into `folder`: paths, and a sentence on each failure."""
     folder.mkdir(parents=True, exist_ok=True)
     written, failed = [], []
     for number, (stem, draw) in enumerate(drawings.items()):

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import View
     from bayes_aero.inference.results import Identification, Posterior, Stall
 
-
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
 RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows with it
 PAIR_DRAWS = 400  # per chain
@@ -116,9 +115,6 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
     return figure
 
 
-# --- Calibration of predictions: histograms of the probability integral transform, and quantiles of innovations.
-
-
 @style.housed
 def pit_histogram(identification: Identification) -> Figure:
     """A panel for each coefficient: density of the values, and the band of independent uniform ones."""
@@ -192,8 +188,6 @@ def hysteresis(identification: Identification) -> Figure:
     figure.suptitle(f"Stall hysteresis CL(α): {what_is_shown(identification)}")
     return figure
 
-
-# --- Bounds and credible intervals: forest plots, and every standard error as a multiple of the Cramer-Rao bound.
 
 GREY = "#555555"  # of what has no colour of its own
 MARKERS = {"crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^"}

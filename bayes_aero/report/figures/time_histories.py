@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
@@ -17,17 +18,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.phrases import bracket
-from bayes_aero.report.plots import (
-    COLOURS,
-    FLOWN,
-    MODELS,
-    Panel,
-    extremes,
-    measured_panel,
-    output_panels,
-    scale,
-    stem_of,
-)
+from bayes_aero.report.plots import COLOURS, FLOWN, MODELS, Panel, extremes, measured_panel, output_panels, scale
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import ProcessNoise, TrajectoryFit, View
@@ -177,7 +168,8 @@ def hold_out(view: View) -> Figure:
 
 def fly_figures(flown: TrajectoryFit) -> dict[str, Callable[[TrajectoryFit], Figure]]:
     """A figure for each output, by the stem of its file, and the responses in a band."""
-    return {stem_of(n): style.housed(partial(_simulated, n)) for n in flown.outputs} | {"bode": bode}
+    stems = {n: f"trajectory_{re.sub(r'[^A-Za-z0-9_-]', '_', n)}" for n in flown.outputs}
+    return {stem: style.housed(partial(_simulated, n)) for n, stem in stems.items()} | {"bode": bode}
 
 
 def _simulated(output: str, flown: TrajectoryFit) -> Figure:

@@ -259,10 +259,8 @@ def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def worked(effect: Mapping[str, Any]) -> str:
     example = effect["example"]
-    given, added = (
-        ", ".join(f"{name} = {shown(value)}" for name, value in values.items())
-        for values in (example["parameters"] | example["signals"] | example["known"], example["increments"])
-    )
+    sides = example["parameters"] | example["signals"] | example["known"], example["increments"]
+    given, added = (", ".join(f"{name} = {shown(value)}" for name, value in side.items()) for side in sides)
     return f"{given} adds {added} ({example['source']})"
 
 

@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from bayes_aero.diagnosis import result as results
     from bayes_aero.flight.card import Card
 
-
 SHOWN = 4  # other terms that are named
 MAX_SIZED = 3  # causes whose sizes are in the verdict
 
@@ -425,9 +424,6 @@ def screen_table(rankings: Sequence[results.Ranking], d: results.Diagnosis) -> T
         Column(["yes" if (r.stage, s.effect) in causes else "" for r, s in rows], page="named"),
     ]
     return table("screen", columns, stage=rankings[0].stage if rankings else "", beyond=beyond)
-
-
-# --- The card's and the extended model side by side: hold-out scores, parameters, residuals.
 
 
 def scores_frame(found: results.HoldoutScores) -> pd.DataFrame:

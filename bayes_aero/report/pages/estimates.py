@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,8 +27,7 @@ FACTOR = 1.25  # ratio of two standard errors, either way, up to which they agre
 LIMIT = 3.0  # standard errors of a difference from which two values differ
 
 
-@dataclass(frozen=True)
-class Method:
+class Method(NamedTuple):
     """One method of interval estimation: `key` for colours and columns, `label` for readers, estimates by parameter."""
 
     key: str
@@ -275,12 +273,9 @@ def next_flight_sentences(run: results.Identification) -> list[str]:
     return sentences + doubt
 
 
-# --- The Gaussian process under each kind of hold-out data.
-
 LEAK = 0.02  # a correlation that falls by more from the random split to another one was leaked; our choice
 NOTABLE = 0.001  # a difference of correlations not worth a sentence below; our choice
 SPLITS = {"random": "the random split", "block": "hold-out blocks", "manoeuvre": "a hold-out manoeuvre"}
-SCORED = "gp_scores", "mle_scores"
 
 
 def split_verdict(run: results.Identification) -> list[str]:
@@ -294,8 +289,9 @@ def split_verdict(run: results.Identification) -> list[str]:
     splits = [split for split in SPLITS if split in report.splits]
     if splits[0] != "random" or len(splits) < 2:
         return sentences
+    by_gp_and_mle = "gp_scores", "mle_scores"
     pooled = {s: {n: report.pooled(s, n) for n in report.splits["random"][0]} for s in splits}
-    r, mle = ({s: {n: getattr(v, by).r for n, v in of.items()} for s, of in pooled.items()} for by in SCORED)
+    r, mle = ({s: {n: getattr(v, by).r for n, v in of.items()} for s, of in pooled.items()} for by in by_gp_and_mle)
     drops = {n: x - min(r[s][n] for s in splits[1:]) for n, x in r["random"].items()}
     lost = [f"{n} -{drop:.2f}" for n, drop in drops.items() if drop > LEAK]
     away = 1000.0 * run.observations.dt
@@ -370,8 +366,6 @@ def _beyond(limit: float, value: float, deviation: float, side: float) -> bool:
     return bool(side * (value - limit) > (min(margin, 2.0 * abs(limit)) if limit else margin))
 
 
-# --- Whether the chains of samplers may be used, and whether samplers of one density agree.
-
 MEANS = 0.2  # difference of means, in standard deviations, up to which samplers agree; our choice
 SDS = 0.15  # relative difference of standard deviations up to which samplers agree; our choice
 
@@ -395,9 +389,6 @@ def posterior_sentences(posteriors: Mapping[str, results.Posterior]) -> list[str
         key, engines = "samplers" if agree else "samplers_disagree", [label_of(a), label_of(b)]
         sentences.append(sentence(key, engines=engines, **sizes))
     return sentences
-
-
-# --- Estimates in the frequency domain: columns beside those of the time domain, and what is said of them.
 
 
 def band_text(fit: results.FrequencyFit | CausesInBand) -> str:

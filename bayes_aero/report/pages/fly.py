@@ -104,9 +104,8 @@ def outside(flown: TrajectoryFit) -> dict[str, float]:
     """Share of the time over all manoeuvres for which the fit of each output is outside its tolerance."""
     shares = {}
     for output in flown.outputs:
-        listed = [(p.errors[output].within, len(p.time)) for p in flown.paths if p.model == FITTED and p.inside]
-        within = [(share, n) for share, n in listed if share is not None]
-        if within:
+        inside = [(p.errors[output].within, len(p.time)) for p in flown.paths if p.model == FITTED and p.inside]
+        if within := [(share, n) for share, n in inside if share is not None]:
             shares[output] = 1.0 - float(np.average([s for s, _ in within], weights=[n for _, n in within]))
     return shares
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -34,8 +33,6 @@ if TYPE_CHECKING:
     from bayes_aero.parameter import Parameter
 
 DEG = 180.0 / np.pi
-
-# --- Agreement of the sensors: printed first, and first on a page.
 
 SHOWN = 4  # departures in the sentence
 
@@ -129,8 +126,7 @@ def doubts(
     return [*warnings(failures), *blocks(*answer), *warnings(faults)]
 
 
-@dataclass(frozen=True)
-class PageContext:
+class PageContext(NamedTuple):
     """What a page shows: card, records, provenance, drawn figures by stem, and the result of the job."""
 
     card: Card

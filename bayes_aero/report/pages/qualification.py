@@ -164,7 +164,7 @@ def test_table(q: Qualification) -> Table:
     column = columns_of(rows)
     away = {o.manoeuvre for o in q.outside if o.motion in ("recorded", "simulated")}
     largest = [t.recorded and "".join(amounts(STANDARD_CHANNELS[t.output].unit, t.recorded.largest)) for t in rows]
-    record = "record beside simulation"
+    record, counting = "record beside simulation", "probability, counting also"
     columns = [
         column(lambda t: t.kind.value, "kind"),
         column(lambda t: t.manoeuvre, "manoeuvre"),
@@ -174,10 +174,7 @@ def test_table(q: Qualification) -> Table:
         Column(largest, "", "largest", group=record),
         column(lambda t: t.recorded and t.recorded.largest, "record_largest"),
         column(lambda t: t.recorded and t.recorded.within, "record_within", "time inside", form=".0%", group=record),
-        *[
-            column(lambda t, n=n: chance_text(t.chances.get(n)), "", n, group="probability, counting also")
-            for n in COUNTED
-        ],
+        *(column(lambda t, n=n: chance_text(t.chances.get(n)), "", n, group=counting) for n in COUNTED),
         *[column(lambda t, n=n: t.chances[n].value if n in t.chances else None, f"probability_{n}") for n in COUNTED],
         column(lambda t: t.chance.value, "probability"),
         column(lambda t: t.chance.error, "standard_error"),

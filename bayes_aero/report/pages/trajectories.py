@@ -113,11 +113,6 @@ def status_sentences(flown: Trajectories) -> list[str]:
     return sentences
 
 
-# --- Errors and time inside the tolerances, by flight and output.
-
-SPLIT_NAMES = {"fitted": "fitted", "hold_out": "hold-out"}
-
-
 def error_table(
     key: str,
     flights: Mapping[str, Sequence[SimulatedManoeuvre | None]],
@@ -126,10 +121,7 @@ def error_table(
     fitted: Sequence[str] | None = None,
     **texts: str,
 ) -> Table:
-    """A row for each output of each flight: errors of its paths, as `heads` name them; Theil's parts of the last.
-
-    On a page also the time inside tolerances, where there are any, and how probably the whole flight is inside.
-    """
+    """A row for each output of each flight: errors of its paths, as `heads` name them; Theil's parts of the last."""
     each, rows = len(heads) > 1, []
     for flight, paths in flights.items():
         for n in next(path for path in paths if path is not None).errors:
@@ -167,12 +159,12 @@ def hold_out_table(flown: Trajectories, *, brief: bool = False) -> Table:
     every = dict.fromkeys((p.split, p.manoeuvre) for p in sorted(flown.paths, key=lambda p: p.split))
     unseen = [flight for flight in every if flight[0] == "hold_out"]
     shown = unseen if brief and unseen else list(every)
-    flights = {f"{m}, {SPLIT_NAMES[split]}": [flown.path(m, model, split) for model in MODELS] for split, m in shown}
+    flights = {}
+    for split, m in shown:
+        flights[f"{m}, {split.replace('_', '-')}"] = [flown.path(m, model, split) for model in MODELS]
     status = "".join(f" {text}" for text in status_sentences(flown))
     return error_table("hold_out_errors", flights, SI, ("before", "after"), status=status)
 
-
-# --- On a page: errors before and after, and time histories with tolerance bands.
 
 SPLITS = {
     "hold_out": "Hold-out: simulated from the measured initial state with the fit to the other flights",
@@ -193,9 +185,8 @@ def trajectories(flown: Trajectories, card: Card) -> list[Any]:
 
         names = list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
         remark, *made = parts.flights(names, split, f"{about}: measured and simulated outputs", drawn)
-        name = SPLIT_NAMES[split]
-        named = [p._replace(caption=f"{about}. {p.caption}", title=f"{p.title}, {name}") for p in made]
-        plots[split] = [remark, *named]
+        texts = [{"caption": f"{about}. {p.caption}", "title": f"{p.title}, {split.replace('_', '-')}"} for p in made]
+        plots[split] = [remark, *(p._replace(**text) for p, text in zip(made, texts, strict=True))]
     return [
         f"{WORDS['paragraphs']['trajectories']} {origin}",
         hold_out_table(flown),
