@@ -158,7 +158,7 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1
     beside = colour is Colour.WHITE and run.noise is not Colour.WHITE and any(k != "white" for k in run.posteriors)
     if run.posteriors and colour is not run.noise and not beside:
         raise InputError(f"this fit has posteriors under {run.noise.value} noise; sample a new fit under {noise}")
-    posterior, notes = sampled(run, engine, colour, ENGINES[engine], seed=seed)
+    posterior, notes = sampled(run, "white" if beside else engine, colour, ENGINES[engine], seed=seed)
     posteriors = run.posteriors | {"white" if beside else engine: posterior}
     kept = run.noise if beside else colour
     run = replace(run, noise=kept, posteriors=posteriors, notes=(*run.notes, *notes))
@@ -295,7 +295,7 @@ class Fit:
     @property
     def doubts(self) -> list[str]:
         """Faulty channels and disagreement of the sensors along the flight path; empty for sound records."""
-        return _doubts(self.run.health, self.run.consistency, corrects=False)
+        return [*self.run.failures, *_doubts(self.run.health, self.run.consistency, corrects=False)]
 
     def table(self) -> pd.DataFrame:
         """Parameters in SI and radians.

@@ -10,14 +10,20 @@ import os
 import re
 import shutil
 import socket
+from contextlib import suppress
 from pathlib import Path
 
-PART = "part"
+PART, OLD = "part", "old"
 
 
 def write_whole(content: bytes | memoryview | str, path: Path, *, flush: bool = False) -> Path:
-    """Write a file whole or not at all. Libraries are given memory to write to, and this writes their bytes: on a full
-    disk some of them (HDF5) crash. `OSError` has the file's name; an older file of this name is as it was."""
+    """Write a file whole or not at all.
+
+    Libraries are given memory to write to, and this writes their bytes: on a full disk some of them (HDF5) crash.
+
+    Raises:
+        OSError: with the file's name. An older file of this name is as it was.
+    """
     partial = path.with_name(f".{path.name}.{os.getpid()}.{PART}")
     try:
         partial.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -37,11 +43,15 @@ def beside(target: Path) -> Path:
 
 
 def put_folder(made: Path, target: Path) -> None:
-    """Give a folder that is complete its name, once it is on the disk, in place of what was there."""
+    """Give a folder that is complete its name, once it is on the disk, in place of what was there. Between the two
+    renames a kill leaves that under a hidden name; `sweep` puts it back."""
     for path in (*sorted(made.rglob("*"), reverse=True), made):  # files, their folders, and itself
         sync(path)
+    aside = made.with_suffix(f".{OLD}")
     while True:
-        shutil.rmtree(target, ignore_errors=True)
+        shutil.rmtree(aside, ignore_errors=True)
+        with suppress(FileNotFoundError):
+            os.replace(target, aside)
         try:
             os.replace(made, target)
             break
@@ -49,9 +59,11 @@ def put_folder(made: Path, target: Path) -> None:
             if reason.errno not in (errno.ENOTEMPTY, errno.EEXIST):  # those: another process has just put its own there
                 raise
     sync(target.parent)
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 def sync(path: Path) -> None:
+    """A file's content, or the names in a folder, on the disk."""
     if path.is_dir() and not hasattr(os, "O_DIRECTORY"):
         return  # Windows neither can nor need
     handle = os.open(path, os.O_RDONLY)
@@ -65,22 +77,28 @@ def sync(path: Path) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what processes of this machine that are no more have left half done."""
-    for path in folder.glob(f".*.{host()}.*.{PART}"):
-        number = path.name.split(".")[-2]
+    """Remove what processes of this machine that are no more have left half done, and put back what they had moved."""
+    for path in folder.glob(".*"):
+        name, *parts = path.name[1:].rsplit(".", 3)
+        ours = len(parts) == 3 and parts[0] == host() and parts[1].isdigit() and parts[2] in (PART, OLD)
+        if not ours:
+            continue
         try:
-            if number.isdigit():
-                os.kill(int(number), 0)
+            os.kill(int(parts[1]), 0)
             continue  # it lives
         except ProcessLookupError:
             pass
         except OSError:
             continue
-        if path.is_dir():
+        if parts[2] == OLD and not (folder / name).exists():
+            with suppress(OSError):  # a neighbour may sweep too
+                os.replace(path, folder / name)
+        elif path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
 
 
 def host() -> str:
+    """This machine's name, fit for a file's."""
     return re.sub(r"[^A-Za-z0-9-]", "_", socket.gethostname())

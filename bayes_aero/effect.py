@@ -196,9 +196,10 @@ def parameter(
     **fields: Any,
 ) -> tuple[Parameter, tuple[float, float]]:
     """A parameter of `effect`, and its sizes; see `Parameter` and `Effect`. A number as prior is the standard deviation
-    about zero. Unless stated, neutral is zero and estimation starts where the prior lies."""
+    about zero. Unless stated, neutral is zero; estimation starts where a normal or lognormal prior lies, else there."""
     prior = prior if isinstance(prior, Prior) else Prior("normal", 0.0, prior)
-    fields = {"neutral": 0.0, "start": prior.location} | fields
+    fields = {"neutral": 0.0} | fields
+    fields = {"start": prior.location if prior.family in ("normal", "lognormal") else fields["neutral"]} | fields
     return Parameter(name, unit, description=description, prior=prior, bounds=bounds, **fields), sizes
 
 

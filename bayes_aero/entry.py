@@ -1,8 +1,10 @@
-"""The entry point: what Ctrl-C does before a command has begun."""
+"""The entry point: what Ctrl-C does before a command has begun, and where a library drops it."""
 
+import _thread
 import os
 import signal
 import sys
+import threading
 from types import FrameType
 from typing import NoReturn
 
@@ -22,8 +24,9 @@ def main() -> None:
         pressed.append(number)
         raise KeyboardInterrupt
 
-    before = signal.getsignal(signal.SIGINT)
-    heeded = before is not signal.SIG_IGN  # a shell has a program in the background ignore Ctrl-C
+    before = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    heeded = before[0] is not signal.SIG_IGN  # a shell has a program in the background ignore Ctrl-C
+    sys.unraisablehook = _heed
     try:
         signal.signal(signal.SIGINT, leave if heeded else signal.SIG_IGN)
         from bayes_aero.cli import main as program
@@ -36,4 +39,15 @@ def main() -> None:
         sys.stderr.write("interrupted; stages that had finished are kept, give the same command again\n")
         sys.exit(INTERRUPTED)
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, before[0])
+        sys.unraisablehook = before[1]
+
+
+def _heed(dropped: "sys.UnraisableHookArgs") -> None:
+    """A Ctrl-C that fell into a callback of a library (JAX has one on garbage collection) is raised again, outside."""
+    if isinstance(dropped.exc_value, KeyboardInterrupt):
+        again = threading.Timer(0.05, _thread.interrupt_main)
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(dropped)

@@ -168,6 +168,10 @@ class Parameter:
         """How far a value is from neutral, and its deviation: of the reciprocals where neutral is at infinity."""
         return (value - self.neutral, sd) if math.isfinite(self.neutral) else (1.0 / value, sd / value**2)
 
+    def changed(self, **changes: object) -> Parameter:
+        """A copy with some fields replaced, as a card does."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
 
 def per_length(parameter: Parameter, card: Lengths) -> Parameter:
     """A parameter in the reference lengths of a card."""

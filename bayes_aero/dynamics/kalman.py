@@ -36,6 +36,7 @@ from bayes_aero.dynamics.system import (
 Theta = Float[Array, " k"]
 PerState = Float[Array, " s"]
 PerOutput = Float[Array, " c"]
+NoisePoint = tuple[Theta, PerState, PerOutput]
 Square = Float[Array, "s s"]
 States = Float[Array, "w n s"]
 
@@ -269,12 +270,34 @@ def innovations_density(
     flown: SegmentTrajectories, theta: Theta, start_deviation: PerState, F: PerState, R: PerOutput
 ) -> Float[Array, ""]:
     """Log likelihood of `filter_segments`, and its gradient; `flown` is `nameless`, to share compiled programs."""
+    return _density((theta, F, R), flown, start_deviation)
+
+
+@eqx.filter_custom_vjp
+def _density(point: NoisePoint, flown: SegmentTrajectories, start_deviation: PerState) -> Float[Array, ""]:
+    theta, F, R = point
+    terms = lambda sample: log_density_terms(sample.innovation, sample.variance, sample.used)  # noqa: E731
+    return jnp.sum(filter_segments(flown, theta, start_deviation, F, R, terms))
+
+
+@_density.def_fwd
+def _forward(_perturbed: Any, point: NoisePoint, flown: SegmentTrajectories, start_deviation: PerState):
+    return jax.value_and_grad(_density_along)(point, flown, start_deviation)
+
+
+@_density.def_bwd
+def _backward(slope: NoisePoint, cotangent: Array, *_: Any):
+    return jax.tree.map(lambda g: cotangent * g, slope)
+
+
+def _density_along(point: NoisePoint, flown: SegmentTrajectories, start_deviation: PerState) -> Float[Array, ""]:
     # Reverse differentiation of a filter stores all intermediate values of every sample. Here the filter runs once.
     # Outputs, motion and their first and second derivatives by the state are then computed for all samples at once
     # along its path, so that the loop over the samples, and its reverse, contains only products of small matrices.
     # The filter linearised along the path is exact to first order in the change of the path with the parameters: so
     # are value and gradient, while the path itself is not differentiated.
-    still = jax.lax.stop_gradient((theta, F, R))
+    theta, F, R = point
+    still = jax.lax.stop_gradient(point)
     path = filter_segments(
         flown, still[0], start_deviation, *still[1:], lambda sample: (sample.predicted, sample.state)
     )

@@ -288,6 +288,7 @@ def _fly_rigid(
     gains = tuple(jnp.asarray(x, float) for x in (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain))
     body = PilotedBody(model, values, aircraft, gains=gains, buffet=jnp.asarray(pilot.buffet, float), pilots=pilots)
     u = _signals(pilot)
+    u["time"] = dt * np.arange(len(u["thrust"]))
     u |= {"led_beta": u.pop("beta"), "led_phi": u.pop("phi"), "elevator": np.zeros_like(u["thrust"])}
     u["led_r"] = GRAVITY / speed * np.sin(u["led_phi"])  # of a coordinated turn
     u |= {f"thrust_{n}": 0.5 * u["thrust"] * (1.0 + f * u["uneven"]) for n, f in (("left", 1.0), ("right", -1.0))}

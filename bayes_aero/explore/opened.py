@@ -74,7 +74,6 @@ class OpenedResult(FinishedResult):
         return groups_of(found.model, found.values, self.errors, added)
 
     def addable(self, channels: Sequence[str]) -> tuple[Effect, ...]:
-        """Effects of the catalogue that may be added where these channels are known."""
         found = self.identified
         return () if isinstance(found, IdentifiedLinear) else addable(found.model, channels)
 
@@ -167,11 +166,6 @@ def with_added(model: Model, added: Sequence[str]) -> Model:
     return replace(model, fixed=fixed).extended(*(name for name in added if name not in there))
 
 
-# --- The model as it stands on the page, handed to another simulator.
-
-FOLDER = "exports"
-
-
 def chosen_model(opened: OpenedResult, choice: Choice, values: Mapping[str, float]) -> Identified:
     """The model with the added effects at `values` (SI) of what is flown; what is off is fixed at neutral."""
     identified = opened.identified
@@ -196,13 +190,11 @@ def export_chosen(
     opened: OpenedResult, choice: Choice, values: Mapping[str, float], form: str
 ) -> tuple[Path, list[str]]:
     """Write the chosen model into a new folder below the result; that folder and its files. What is there stays."""
-    found, root = chosen_model(opened, choice, values), opened.folder / FOLDER
+    found, root = chosen_model(opened, choice, values), opened.folder / "exports"
     names = (f"{found.name}_{form}{'' if k == 1 else f'_{k}'}" for k in count(1))
     target = next(root / name for name in names if not (root / name).exists() and not (root / name).is_symlink())
     return target, write_export(found, form, target)["files"]
 
-
-# --- A linear system on the page: a group of sliders for each of its rows.
 
 LIMITS = (
     "The card states a linear system: it has no effects to switch or to add, no coefficients, and no form in another "
@@ -226,16 +218,13 @@ def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple
     return tuple(groups)
 
 
-# --- Ranges of the sliders: about the estimate by its standard error, within the parameter's bounds.
-
 ERRORS = 5.0  # standard errors to either side
 SHARE = 0.3  # of the value, at least: a parameter known to 0.1 % still moves something to see
 
 
 @dataclass(frozen=True)
 class Slider:
-    """A parameter in the unit in which people read it: where it begins, its standard error (0: unknown), its range.
-    `factor` converts SI to this unit."""
+    """A parameter in the unit in which people read it, to which `factor` converts SI; `error` 0: unknown."""
 
     name: str
     unit: str
@@ -249,13 +238,11 @@ class Slider:
 
 @dataclass(frozen=True)
 class SliderGroup:
-    """An effect with its sliders; `added`: it is not part of the result's model; `switch`: it can be switched off."""
-
     name: str
     claim: str
-    added: bool
+    added: bool  # to the result's model
     sliders: tuple[Slider, ...]
-    switch: bool = True
+    switch: bool = True  # whether it can be switched off
 
 
 def groups_of(
@@ -324,6 +311,7 @@ class Simulator:
         found = opened.identified
         required = found.rows.inputs if isinstance(found, IdentifiedLinear) else FLIGHT
         self.flights, _ = despiked(join(opened.flown, self.card, required))
+        self.manoeuvres = self.flights.names
         setting = opened.told.get("setting", {})
         self.held = setting.get("inputs") == HELD
         self.fixed = self.card.fly.initial_state if setting.get("initial_state") == FIXED else None
@@ -335,10 +323,6 @@ class Simulator:
         self.outputs = tuple(n for n in dynamics.outputs if n in self.flights.channels)
         self.inputs = tuple(n for n in dynamics.inputs if n in self.flights.channels and n not in self.outputs)
         self.no_coefficients = ""
-
-    @property
-    def manoeuvres(self) -> tuple[str, ...]:
-        return self.flights.names
 
     def time(self, manoeuvre: int) -> Float[np.ndarray, " n"]:
         return self.flights.time[self.flights.manoeuvre == manoeuvre]
@@ -357,13 +341,9 @@ class Simulator:
         theta = jnp.asarray(list(values.values()))
         flown, residuals, departure = self._prepared(manoeuvre, choice, values)
         simulated, inside, formed, modelled, X = _fly(flown, residuals, theta, jnp.asarray(departure))
-        found: dict[str, Any] = {}
-        measured: dict[str, Any] = {}
-        if residuals is not None:
-            names = residuals.model.coefficients
-            found = dict(zip(names, np.asarray(modelled).T, strict=True)) | {"X": np.asarray(X)}
-            measured = dict(zip(names, np.asarray(formed).T, strict=True))
-        paths = dict(zip(flown.outputs, np.asarray(simulated).T, strict=True))
+        paths, found = _named(flown, residuals, simulated, modelled, X)
+        names = () if residuals is None else residuals.model.coefficients
+        measured = {name: np.asarray(formed)[:, k] for k, name in enumerate(names)}
         return Flown(values, paths, found, measured, np.asarray(inside))
 
     def fan(self, manoeuvre: int, count: int = DRAWS, seed: int = 0) -> tuple[str, dict[str, np.ndarray]]:
@@ -376,11 +356,8 @@ class Simulator:
                 theta[:, list(values).index(name)] = draws.values[:, k]
         flown, residuals, departure = self._prepared(manoeuvre, Choice(), values)
         simulated, _, _, modelled, X = _fly_draws(flown, residuals, jnp.asarray(theta), jnp.asarray(departure))
-        found = dict(zip(flown.outputs, np.moveaxis(np.asarray(simulated), 2, 0), strict=True))
-        if residuals is not None:
-            found |= dict(zip(residuals.model.coefficients, np.moveaxis(np.asarray(modelled), 2, 0), strict=True))
-            found["X"] = np.asarray(X)
-        return draws.origin, found
+        paths, found = _named(flown, residuals, simulated, modelled, X)
+        return draws.origin, paths | found
 
     def _structure(self, choice: Choice) -> FlownModel:
         key = choice.added, choice.off
@@ -398,7 +375,6 @@ class Simulator:
         return self._structures[key]
 
     def _values(self, choice: Choice) -> dict[str, float]:
-        """Of the model and of the biases of outputs."""
         opened, own = self.opened, self._structure(choice)
         values = opened.identified.values
         found = {**values, **choice.values} if own.model is None else values_of(own.model, values, choice)
@@ -429,6 +405,17 @@ class Simulator:
                     self.no_coefficients = f"Coefficients are not shown: {reason}."
             self._ready[key] = replace(alone, **cut), residuals, departure
         return self._ready[key]
+
+
+def _named(
+    flown: SegmentTrajectories, residuals: EquationError | None, simulated: Any, modelled: Any, X: Any
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Outputs, and coefficients with the separation point, whose names are along the last axis."""
+    paths = dict(zip(flown.outputs, np.moveaxis(np.asarray(simulated), -1, 0), strict=True))
+    if residuals is None:
+        return paths, {}
+    modelled = np.moveaxis(np.asarray(modelled), -1, 0)
+    return paths, dict(zip(residuals.model.coefficients, modelled, strict=True)) | {"X": np.asarray(X)}
 
 
 def _one(flown: SegmentTrajectories, residuals: EquationError | None, theta: Any, departure: Any) -> tuple:

@@ -45,15 +45,11 @@ Parts = Mapping[str, np.ndarray]
 
 
 class Exchange(DataModel):
-    """Requests of the browser and answers to it, each as JSON."""
-
     asked = String("")
     told = String("")
 
 
 class ExplorePage:
-    """A document with its state."""
-
     def __init__(self, simulator: Simulator, document: Document) -> None:
         self.simulator, self.opened = simulator, simulator.opened
         self.units = {n: c.unit for n, c in STANDARD_CHANNELS.items()} | channel_units(self.opened.card)
@@ -200,7 +196,6 @@ class ExplorePage:
         return "" if place is None else f"{DRAWS} draws: {self._fans[asked.manoeuvre][0]}."
 
     def _scores(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> list[dict[str, Any]]:
-        """RMS errors and shares inside the tolerances, in the units of the panels."""
         paths = scores(self.simulator.recorded(manoeuvre), before.simulated, now.simulated, window, self.tolerances)
         errors = [{name: x - flown.coefficients[name] for name, x in flown.formed.items()} for flown in (before, now)]
         still = {name: np.zeros_like(y) for name, y in errors[1].items()}
@@ -236,8 +231,6 @@ def _part(name: str) -> str:
     return (resources.files("bayes_aero.explore") / "templates" / name).read_text(encoding="utf-8")
 
 
-# --- What the browser asks, checked.
-
 MOST_CHARACTERS = 100_000
 
 
@@ -260,8 +253,6 @@ def read_asked(text: str) -> Asked:
     except (ValueError, RecursionError) as reason:
         raise InputError(f"the page sent what it never sends ({reason}); load it again") from None
 
-
-# --- How near a simulation is to the flight in a window of time.
 
 Series = Mapping[str, Float[np.ndarray, " n"]]
 
@@ -366,16 +357,13 @@ class TimePanel:
         self.record.update(data={"t": t, "y": y, "low": y - half, "high": y + half})
 
     def line(self, time: Curve, y: Curve, columns: tuple[str, str] = ("t", "y")) -> dict[str, np.ndarray]:
-        """A line as the named columns of a source."""
         return dict(zip(columns, self._drawable(time, y), strict=True))
 
     def draw_fan(self, time: Curve, draws: Float[np.ndarray, "m n"]) -> None:
         lines = [self._drawable(time, y, MOST_FAN) for y in draws]
         self.fan.update(data={"xs": [t for t, _ in lines], "ys": [y for _, y in lines]})
 
-    def _drawable(
-        self, time: Curve, y: Curve, most: int = MOST
-    ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    def _drawable(self, time: Curve, y: Curve, most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
         """A line in the panel's unit that a canvas can take; values of a diverged simulation are gaps."""
         y = self.factor * y
         index = extremes([y], most)
@@ -394,11 +382,9 @@ def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
         f: Any = view.figure
         f.xaxis.visible, f.grid.grid_line_color, f.outline_line_color = last, "#dddddd", "#bbbbbb"
         for axis in (f.xaxis, f.yaxis):
-            axis.update(
-                axis_label_text_font_size="13px", axis_label_text_font_style="normal", minor_tick_line_color=None
-            )
+            axis.update(axis_label_text_font_size="13px", major_label_text_font_size="12px", minor_tick_line_color=None)
             axis.update(axis_label_text_color="#222222", major_label_text_color="#222222")
-            axis.major_label_text_font_size = "12px"
+            axis.axis_label_text_font_style = "normal"
         f.yaxis.ticker.desired_num_ticks = 3
         if last:
             f.xaxis.axis_label = "time of the record [s]"
@@ -409,7 +395,6 @@ def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
 # --- The server of the page: this machine alone, nothing from a network.
 
 ADDRESS = "127.0.0.1"
-FORBIDDEN = 403
 
 
 class LocalOnly(Router):
@@ -421,10 +406,9 @@ class LocalOnly(Router):
         self.app, self.hosts = app, hosts
 
     def find_handler(self, request: HTTPServerRequest, **kwargs: object) -> HTTPMessageDelegate | None:  # noqa: ARG002
-        """The page's, or that of a refusal."""
         if request.host.lower() in self.hosts:
             return self.app.find_handler(request)
-        return self.app.get_handler_delegate(request, ErrorHandler, {"status_code": FORBIDDEN})
+        return self.app.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
 
 
 class PageServer:
@@ -452,7 +436,6 @@ class PageServer:
         self._server = BaseServer(self.loop, app, http)
 
     def serve(self, *, browser: bool = False) -> None:
-        """Until Ctrl-C; `browser`: open the page in the user's."""
         self._server.start()
         if browser:
             self.loop.add_callback(webbrowser.open, self.url)

@@ -450,10 +450,13 @@ def _unusable(record: FlightRecord, even: bool) -> Iterator[str]:
         first = int(np.argmax(bad))
         what = "empty or not a number (NaN)" if missing[first] else "infinite"
         where = f"sample {first} (counted from 0)" if name == "time" else at(record, first)
+        more = (
+            f", ask for resampling if they are few or the file is of several rates (--resample "
+            f"{_sampling_step(record):.4g}), or take the channel off the card if it is not needed"
+        )
         yield (
             f"channel {name} is {what} at {where}, {int(bad.sum())} of {record.n} samples in all; repair or cut out "
-            f"these samples, ask for resampling if they are few or the file is of several rates (--resample "
-            f"{_sampling_step(record):.4g}), or take the channel off the card if it is not needed"
+            f"these samples{'' if name == 'time' else more}"
         )
         break
     back = np.diff(record.time) <= 0.0
@@ -488,7 +491,7 @@ def _of_sampling(record: FlightRecord, channel: Channel | None, even: bool) -> I
     step = np.diff(record.time)
     median = float(np.median(step))
     gaps, off = step > GAP * median, np.abs(step - median) > JITTER * median
-    if even and gaps.any():
+    if even and gaps.any() and len(parts_of(record.time)) > 1:  # else stamps are rounded throughout
         i = int(np.argmax(gaps))
         yield (
             f"channel time has a gap of {step[i]:.6g} s after {at(record, i)}, where {median:.6g} s is usual; divide "
@@ -586,6 +589,10 @@ def without_bad_options(record: FlightRecord, channels: Channels, *, blanks: boo
             dropped[channel.name] = f"channel {channel.name} is not a number at {count}, the first at {first}"
         elif standard is not None and (why := implausible(record, standard, channel)) is not None:
             dropped[channel.name] = why
+        elif standard is not None and standard.plausible[0] == 0.0 and (record[channel.name] < 0.0).any():
+            below = record[channel.name] < 0.0
+            first, count = at(record, int(np.argmax(below))), f"{int(below.sum())} of {record.n} samples"
+            dropped[channel.name] = f"channel {channel.name} is below zero at {count}, the first at {first}"
     kept = {name: x for name, x in record.channels.items() if name not in dropped}
     return replace(record, channels=kept, dropped={**record.dropped, **dropped}) if dropped else record
 

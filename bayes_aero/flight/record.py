@@ -84,7 +84,7 @@ class FlightRecord:
             name: short name.
             time: (n,) in s.
             channels: channel name -> (n,) values in SI and radians; not checked for plausibility
-                (`checks.check_record` does this).
+                (`reading.check_record` does this).
             source: origin of the record.
 
         Raises:

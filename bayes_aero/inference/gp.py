@@ -105,10 +105,7 @@ def sample_posterior(
     """Weighed draws of theta from the exact posterior around `optimum`, with a status."""
     rng, k = np.random.default_rng(budget.seed), data.x.shape[1] + 2
     centre, covariance = optimum.u, kernel.curvature(optimum, data, priors)
-    steps, box = (
-        STEP * np.eye(k),
-        kernel.search_box(k - 2),
-    )  # beyond that of the search for the mode the posterior is cut off
+    steps, box = STEP * np.eye(k), kernel.search_box(k - 2)  # beyond that of the search the posterior is cut off
     for number in range(budget.rounds):
         us, proposed = student_draws(rng, budget.draws, centre, np.linalg.cholesky(covariance))
         profile, status = kernel.ProfilePosterior(data, priors, optimum.theta[:k].copy()), SampleStatus.accepted
@@ -129,6 +126,8 @@ def sample_posterior(
             thetas = np.array([kernel.assemble(x, u) for x in w])
             density = np.array([kernel.density_at(t, point, data.n, priors) for t in thetas])
             weight = np.where(np.isfinite(density), density, -np.inf) - of_w
+            if not np.isfinite(weight).any():
+                continue
             ratio[i] = logsumexp(weight) - np.log(INNER_DRAWS) - proposed[i]
             at = rng.choice(INNER_DRAWS, p=np.exp(weight - logsumexp(weight)))
             theta[i], exact[i] = thetas[at], density[at]

@@ -73,7 +73,10 @@ class Scaling:
         if np.any(flat):
             which = ", ".join(n for n, f in zip(names, flat, strict=True) if f)
             raise InputError(f"Input {which} does not vary over the training samples; leave it out of the GP.")
-        return cls(mean, sd, float(np.sqrt(np.mean(y**2))))
+        rms = float(np.sqrt(np.mean(y**2)))
+        if not (np.isfinite(X).all() and 0.0 < rms < np.inf):
+            raise InputError("An input or the output is not finite, or the output is zero at every training sample.")
+        return cls(mean, sd, rms)
 
     def inputs(self, X: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
         return (X - self.mean) / self.sd

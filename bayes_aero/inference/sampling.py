@@ -151,6 +151,10 @@ def find_mode(density: LogDensity, start: Float[np.ndarray, " k"]) -> PosteriorM
         if not climbed.fun < cost:
             break
         u = u + factor @ climbed.x
+    else:  # the last climb has left the point whose curvature is known
+        factor, positive_definite = _curvature(density, u, step)
+        cost, slope = negative(still, u, factor)
+        gain = 0.5 * float(slope @ slope) if cost < 1e300 else np.inf
     near = ModeStatus.CONVERGED if gain < 1e-3 else ModeStatus.NOT_CONVERGED
     return PosteriorMode(u, factor, -cost, near if positive_definite else ModeStatus.FLAT)
 

@@ -43,7 +43,16 @@ from bayes_aero.inference.results import MleResult, Posterior
 from bayes_aero.jobs.check import record_checks, repaired, spike_notes, usable_for
 from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
 from bayes_aero.jobs.results import RESULTS, Flight, flights, fly_results, put_histories
-from bayes_aero.jobs.store import Growing, provenance, remove_older, safe_name, sha256_of, writable, write_json
+from bayes_aero.jobs.store import (
+    Growing,
+    older_files,
+    provenance,
+    remove_older,
+    safe_name,
+    sha256_of,
+    writable,
+    write_json,
+)
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Flights, on_recorded_axes
@@ -97,7 +106,9 @@ def fly(
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
+    older = {} if out is None else older_files(out, ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"))
     kept = fitted(records, card, options, out, progress)
+    remove_older(older)
     kept.show(figures=options.figures, progress=progress)
     return kept.result
 
@@ -187,7 +198,6 @@ class FlightStore(Growing[Flight]):
         found, out = self.result, self.out
         if out is None:
             return
-        remove_older(out, ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"), self.began)
         together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
         failed = put_histories(lambda: flights(together, found.flown.units), out)
         drawn: list[Path] = []

@@ -39,7 +39,7 @@ from bayes_aero.inference.sampling import (
 from bayes_aero.jobs.check import record_checks, repaired
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.results import identified, put_histories, results, save_gp, write_identification
-from bayes_aero.jobs.store import Growing, provenance, remove_older, writable, write_json
+from bayes_aero.jobs.store import Growing, older_files, provenance, remove_older, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Colour, Density, Noise, despiked, join, observe
 from bayes_aero.model.records import Forming, on_recorded_axes
@@ -84,7 +84,7 @@ def identify(
     job.keep(stall=job.stage("stall", "Stall left out", lambda: stall_of_run(job.result)))
     if out is not None:
         job.show(out)
-        remove_older(out, OLDER, job.began)
+        remove_older(job.older)
     return job.result
 
 
@@ -114,6 +114,7 @@ class IdentificationJob(Growing[Identification]):
         super().__init__(card, records, out, provenance(card, records, options.seed, options.settings, options))
         if out is not None:
             writable(out)
+            self.older = older_files(out, OLDER)
 
     def write(self, out: Path) -> None:
         write_identification(self.result, out)

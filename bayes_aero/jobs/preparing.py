@@ -544,16 +544,9 @@ def model_block(found: Mapping[str, Guess], mach: bool) -> Iterator[str]:
 def put_starter_page(starter: Starter, record: Path, card: Path) -> tuple[Path, tuple[str, ...]]:
     """Write CARD.report.html; its path, and a sentence on what of it cannot be made."""
     from bayes_aero.report.page import put_page
-    from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
+    from bayes_aero.report.pages.check import card_page
 
-    taken = [
-        Taken(name, g.column.place, g.unit, g.sign, g.evidence, g.values, starter.doubt(name))
-        for name, g in starter.found.items()
-    ]
-    time = starter.found["time"].si if "time" in starter.found else None
-    unknown = [Rest(c.place, c.unit, c.values) for c in starter.unknown]
-    view = StarterView(record.name, card.name, time, taken, unknown, starter.todo, starter.blind)
     source = provenance(None, [], None, {})
     source["inputs"] = [{"name": record.stem, "source": record.name, "sha256": sha256_of(record)}]
     path = card.with_name(card.name + ".report.html")
-    return path, put_page(lambda: card_page(view, source), path.parent, path.name)
+    return path, put_page(lambda: card_page(starter, record.name, card.name, source), path.parent, path.name)

@@ -16,7 +16,6 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 from threading import RLock
-from time import time
 from typing import Any, Generic, TypeVar
 
 import msgspec
@@ -98,7 +97,6 @@ class Growing(Generic[Result]):
 
     def __init__(self, card: Card, records: Sequence[FlightRecord], out: Path | None, source: dict[str, Any]) -> None:
         self.card, self.records, self.out, self.source, self.lock = card, records, out, source, RLock()
-        self.began = time()
 
     def write(self, out: Path) -> None:
         raise NotImplementedError
@@ -194,10 +192,15 @@ def writable(folder: Path) -> None:
         raise InputError(f"{leads_out} is a link that leads out of {folder}; remove it, or give another --out")
 
 
-def remove_older(folder: Path, names: Sequence[str], began: float) -> None:
-    """Take away what an earlier run than that of `began` (time in s) left under these names."""
-    for path in (folder / name for name in names):
-        if path.is_file() and path.stat().st_mtime < began - 1.0:  # file systems round times
+def older_files(folder: Path, names: Sequence[str]) -> dict[Path, int]:
+    """Files of an earlier run under these names, with the times at which they were written."""
+    return {path: path.stat().st_mtime_ns for name in names if (path := folder / name).is_file()}
+
+
+def remove_older(older: Mapping[Path, int]) -> None:
+    """Take away the files of an earlier run that have not been written again."""
+    for path, written in older.items():
+        if path.is_file() and path.stat().st_mtime_ns == written:
             path.unlink()
 
 

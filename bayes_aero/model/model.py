@@ -318,7 +318,7 @@ def as_on_card(parameter: Parameter, card: Card) -> Parameter:
         return parameter
     given = {key: value for key, value in vars(change).items() if value is not None}
     try:
-        return replace(parameter, **given)
+        return parameter.changed(**given)
     except InputError as error:
         raise InputError(f"card {card.name}: {error}") from None
 

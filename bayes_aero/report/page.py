@@ -10,13 +10,13 @@ import base64
 import io
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from bayes_aero import __version__
@@ -37,14 +37,10 @@ class Text(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Sentences, one a bullet."""
-
     items: tuple[str, ...]
 
 
 class Facts(NamedTuple):
-    """Name and value, one a line."""
-
     items: tuple[tuple[str, str], ...]
 
 
@@ -60,13 +56,6 @@ class HtmlTable:
     note: str = ""
     links: tuple[str, ...] = ()  # relative addresses that the first cells lead to, one a row, empty for none
 
-    def lean(self) -> HtmlTable:
-        """Without the columns that are empty in every row."""
-        kept = [i for i in range(len(self.head)) if any(row[i] for row in self.rows)]
-        head, *rows = (tuple(row[i] for i in kept) for row in (self.head, *self.rows))
-        words = tuple(new for new, i in enumerate(kept) if i in self.words)
-        return replace(self, head=head, rows=tuple(rows), words=words)
-
     def across(self) -> int:
         """Characters in a row, with room between columns; text can be folded."""
         columns = zip(*self.rows, strict=True) if self.rows else ()
@@ -75,8 +64,6 @@ class HtmlTable:
 
 
 class Picture(NamedTuple):
-    """A static figure."""
-
     source: str  # a data URI
     caption: str
     width: int  # pixels of the picture
@@ -95,8 +82,6 @@ class Plot(NamedTuple):
 
 
 class Fold(NamedTuple):
-    """Blocks behind a line that opens them."""
-
     title: str
     blocks: tuple[Block, ...]
 
@@ -105,8 +90,6 @@ Block = Text | Points | Facts | HtmlTable | Picture | Plot | Fold
 
 
 class Section(NamedTuple):
-    """A heading with its blocks; `key` is its anchor."""
-
     key: str
     title: str
     blocks: tuple[Block, ...]
@@ -161,16 +144,10 @@ def section(key: str, title: str, make: Callable[[], Any]) -> Section:
 
 
 def render(page: Report) -> str:
-    """The page as HTML."""
-    environment = Environment(
-        loader=PackageLoader("bayes_aero.report", "templates"),
-        autoescape=select_autoescape(default=True, default_for_string=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    loader = PackageLoader("bayes_aero.report", "templates")
+    env = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     plots = [*_plots(page.lead), *(plot for section in page.sections for plot in _plots(section.blocks))]
-    environment.filters |= {"breakable": _breakable, "kind": lambda block: type(block).__name__}
+    env.filters |= {"breakable": _breakable, "kind": lambda block: type(block).__name__}
     numbers = {id(plot): number for number, plot in enumerate(plots)}
     data = json.dumps([plot.item for plot in plots], separators=(",", ":"), allow_nan=True)
     for sign in "<>&\u2028\u2029":  # so that it cannot end the script element around it
@@ -180,7 +157,7 @@ def render(page: Report) -> str:
         from bokeh.resources import Resources
 
         library = Markup("\n".join(Resources(mode="inline", components=["bokeh", "bokeh-api"]).js_raw))
-    return environment.get_template("page.html").render(
+    return env.get_template("page.html").render(
         page=page,
         library=library,
         plots=Markup(data),
@@ -191,7 +168,6 @@ def render(page: Report) -> str:
 
 
 def write_page(page: Report, path: Path) -> Path:
-    """Write the page whole or not at all."""
     return write_whole(render(page), path)
 
 
@@ -220,9 +196,6 @@ def _plots(blocks: Iterable[Block]) -> Iterable[Plot]:
             yield from _plots(block.blocks)
 
 
-# --- A table of numbers as a page shows it.
-
-
 def page_table(table: Table) -> HtmlTable:
     """The columns that have a heading on a page, every cell as text."""
     shown = [(head, c, values) for c in table.columns for head, values in c.under(c.page)]
@@ -242,16 +215,9 @@ def page_table(table: Table) -> HtmlTable:
     )
 
 
-# --- Figures of a run, embedded in the page.
-
-CSS_INCH = 96.0  # pixels of a screen in which a font has its nominal size
-
-
-class Gallery:
-    """The drawn figures by stem, with captions."""
-
-    def __init__(self, paths: Mapping[str, Path], captions: Mapping[str, str]) -> None:
-        self.paths, self.captions = paths, captions
+class Gallery(NamedTuple):
+    paths: Mapping[str, Path]
+    captions: Mapping[str, str]
 
     def __call__(self, *stems: str) -> tuple[Picture, ...]:
         """The pictures of these stems that were drawn."""
@@ -268,4 +234,4 @@ def picture(path: Path, caption: str) -> Picture:
     with Image.open(io.BytesIO(content)) as opened:
         width, height = opened.size
     source = "data:image/png;base64," + base64.b64encode(content).decode("ascii")
-    return Picture(source, caption, width, height, round(CSS_INCH * width / DPI))
+    return Picture(source, caption, width, height, round(96.0 * width / DPI))  # 96 pixels an inch

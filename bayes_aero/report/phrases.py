@@ -100,7 +100,6 @@ def bracket(unit: str) -> str:
 
 
 def symbol(output: str) -> str:
-    """A channel as people read it: V for airspeed."""
     return SYMBOLS.get(output, output)
 
 
@@ -111,7 +110,6 @@ def amounts(unit: str, *values: float) -> tuple[str, ...]:
 
 
 def plain_unit(unit: str) -> str:
-    """A parameter's unit as people read it."""
     return {"1": "-", "c/V": "chords"}.get(unit, unit).replace("^2", "²").replace("^3", "³")
 
 
@@ -170,9 +168,9 @@ def axis_label(output: str, unit: str) -> str:
     return f"{symbol(output)} {bracket(for_people(unit)[0])}"
 
 
-def channel_axis(channel: str) -> tuple[str, str, float]:
+def channel_axis(channel: str, si: str = "") -> tuple[str, str, float]:
     """A channel's symbol, the unit in which people read it, and the factor to that from SI."""
-    return symbol(channel).replace("_", " "), *for_people(UNITS.get(channel, "N"))
+    return symbol(channel).replace("_", " "), *for_people(si or UNITS.get(channel, "N"))
 
 
 def short(x: float) -> str:

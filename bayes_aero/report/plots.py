@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import base64
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -35,22 +33,7 @@ LEAST = 0.5  # of a panel's height there, however many panels there are
 FARTHEST = 1e30  # single precision ends soon beyond
 
 
-@dataclass(frozen=True)
-class Over:
-    """The axis below the panels: its label, and its name, unit and digits in the tooltip."""
-
-    label: str
-    name: str
-    unit: str
-    digits: str
-
-
-TIME = Over("time from start of record [s]", "time", "s", "{0.00}")
-SAMPLE = Over("number of the sample [-]", "sample", "samples", "{0}")
-
-
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """One curve in the units of its panel; `style` is solid, dashed or dotted."""
 
     label: str
@@ -60,8 +43,7 @@ class Line:
     width: float = 1.4
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """Curves over time, on a page and in a file; the first one sets the scale."""
 
     name: str
@@ -74,13 +56,12 @@ class Panel:
 
     @property
     def label(self) -> str:
-        """Name and unit."""
         return f"{self.name} {bracket(self.unit)}"
 
 
-def measured_panel(channel: str, values: np.ndarray, **look: Any) -> Panel:
-    """A recorded channel (SI) by itself."""
-    name, unit, factor = channel_axis(channel)
+def measured_panel(channel: str, values: np.ndarray, si: str = "", **look: Any) -> Panel:
+    """A recorded channel (SI) by itself; `si`: its unit, if it is no standard channel."""
+    name, unit, factor = channel_axis(channel, si)
     return Panel(name, unit, (Line("measured", COLOURS["measured"], factor * values),), **look)
 
 
@@ -117,11 +98,6 @@ def output_panels(paths: Mapping[str, SimulatedManoeuvre], units: Mapping[str, s
     return panels
 
 
-def stem_of(output: str) -> str:
-    """The file of an output's figure, without its ending."""
-    return f"trajectory_{re.sub(r'[^A-Za-z0-9_-]', '_', output)}"
-
-
 def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> Int[np.ndarray, " m"]:
     """Indices that keep each column's shape at some `most` points: extremes of equal stretches, and the ends."""
     n = len(columns[0])
@@ -140,7 +116,7 @@ def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> In
     return np.flatnonzero(keep)
 
 
-def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, over: Over = TIME) -> dict[str, Any]:
+def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str) -> dict[str, Any]:
     """The panels below each other over one shared axis, time (s), called `name`, as `page.js` draws them."""
     fitting = [_fitting(panel) for panel in panels]
     share = max(min((PAPER - AXIS) / sum(height for _, height in fitting), 1.0), LEAST)
@@ -166,9 +142,7 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, ov
                 "columns": _columns(time, panel),
             }
         )
-    tip = f"@t{over.digits} {over.unit if over is TIME else ''}".strip()
-    axis = {"label": over.label, "name": over.name, "tip": tip, "span": [float(time[0]), float(time[-1])]}
-    return {"name": name, "axis": axis, "panels": described}
+    return {"name": name, "span": [float(time[0]), float(time[-1])], "panels": described}
 
 
 def _columns(time: Float[np.ndarray, " n"], panel: Panel) -> dict[str, str]:

@@ -48,10 +48,8 @@ RC: dict[str, Any] = {
 NOTE: dict[str, Any] = {
     "bbox": {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.5}, "zorder": 5, "fontsize": 8.0,
 }  # fmt: skip
-"""Look of a remark inside a panel."""
 
-MOST_MANOEUVRES = 12
-"""Manoeuvres for which figures with a panel for each are drawn."""
+MOST_MANOEUVRES = 12  # of a figure with a panel for each
 
 
 class NotDrawn(Exception):  # noqa: N818 - not an error: the run simply has nothing to show there
@@ -197,26 +195,21 @@ def close(figure: Figure) -> None:
 
 
 @contextmanager
-def quiet_pyplot() -> Iterator[None]:
-    """Use the Agg backend inside, whatever the user's is: for libraries that only draw through pyplot."""
+def arviz_plots() -> Iterator[ModuleType]:
+    """The package arviz_plots, which only draws through pyplot: by the Agg backend inside, whatever the user's is."""
     import matplotlib.pyplot as plt
 
     before = mpl.get_backend()
     plt.switch_backend("agg")
     try:
-        yield
+        with warnings.catch_warnings():
+            for category in (DeprecationWarning, PendingDeprecationWarning):
+                warnings.simplefilter("ignore", category)
+            with suppress(ImportError):  # arviz_plots 0.8 needs it, and matplotlib 3.11 does not import it by itself
+                import matplotlib.style.core  # noqa: F401
+            import arviz_plots as plots
+            import arviz_plots.backend.matplotlib  # which it would import later, out of the reach of this filter
+        yield plots
     finally:
         with suppress(ImportError):  # a backend that was named but never could run, as TkAgg without a display
             plt.switch_backend(before)
-
-
-def arviz_plots() -> ModuleType:
-    """The package arviz_plots; 0.8 needs matplotlib.style.core, which 3.11 no longer imports by itself."""
-    with warnings.catch_warnings():
-        for category in (DeprecationWarning, PendingDeprecationWarning):
-            warnings.simplefilter("ignore", category)
-        with suppress(ImportError):
-            import matplotlib.style.core  # noqa: F401
-        import arviz_plots
-        import arviz_plots.backend.matplotlib  # which it would import later, out of the reach of this filter
-    return arviz_plots

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from bayes_aero.inference.results import Marginal
 
-
 NONE = "–"
 NORMAL95 = 1.959964
 NARROWEST = 12  # letters that a column of words keeps, if a word is as long
@@ -46,7 +45,6 @@ class Estimate(NamedTuple):
 
     @classmethod
     def of(cls, m: Marginal) -> Estimate:
-        """Mean, deviation and interval of a posterior."""
         return cls(m.mean, m.sd, *m.ci95)
 
 
@@ -76,7 +74,6 @@ class Column:
     words: bool = False  # whether it is text that may be folded
 
     def under(self, heads: Heads) -> Iterator[tuple[str, list[Any]]]:
-        """Each name with its values."""
         if isinstance(heads, str):
             yield heads, list(self.values)
         for part, head in enumerate(heads if isinstance(heads, tuple) else ()):
@@ -122,7 +119,6 @@ class Table:
         return found.set_index(names[: self.index]) if self.index else found
 
     def terminal(self) -> rich.Table:
-        """The table of a terminal."""
         space = (0, 0 if self.dense else 1, 0, 0)
         title = self.title if self.terminal_title is None else self.terminal_title
         shown = rich.Table(

@@ -133,12 +133,15 @@ class ResidualModel(ABC):
     ) -> tuple[Residual, Float[np.ndarray, "m c j"]]:
         """Residuals, measured minus modelled, and minus their derivatives by `columns`."""
         indices = np.arange(len(theta)) if columns is None else np.asarray(columns)
-        slopes, size = self.slopes_at(theta), DIRECTIONS_PER_CALL
-        directions = np.zeros((max(-(-len(indices) // size), 1) * size, len(theta)))
-        directions[np.arange(len(indices)), indices] = 1.0
-        parts = [slopes(part) for part in np.split(directions, len(directions) // size)]
-        S = np.concatenate([slope for _, slope in parts])[: len(indices)]
-        return parts[0][0], np.ascontiguousarray(np.moveaxis(S, 0, 2))
+        slopes, size, residual, S = self.slopes_at(theta), DIRECTIONS_PER_CALL, np.empty((0, 0)), np.empty((0, 0, 0))
+        for begin in range(0, max(len(indices), 1), size):  # one part alive: all sensitivities are large
+            place = np.arange(begin, min(begin + size, len(indices)))
+            directions = np.zeros((size, len(theta)))
+            directions[np.arange(len(place)), indices[place]] = 1.0
+            residual, slope = slopes(directions)
+            S = S if begin else np.empty((*residual.shape, len(indices)))
+            S[:, :, place] = np.moveaxis(slope[: len(place)], 0, 2)
+        return residual, S
 
 
 Signals = Mapping[str, Any]

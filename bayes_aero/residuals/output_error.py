@@ -97,8 +97,10 @@ class OutputError(base.ResidualModel, eqx.Module):
         parts = np.split(directions, len(directions) // base.DIRECTIONS_PER_CALL)  # by the program of `slopes`
         slopes = [_slopes(self.nameless, *map(jnp.asarray, (theta, rest, part)))[1] for part in parts]
         slope = -np.concatenate(slopes)[:states][:, :, keep]  # s m c
-        own = self.stretch[:, None] == np.arange(len(self.windows.index))  # m w
-        return np.einsum("mw,smc->mcws", own, slope).reshape(len(own), len(keep), -1)
+        m = len(self.stretch)
+        sensitivities = np.zeros((m, len(keep), len(self.windows.index), states))
+        sensitivities[np.arange(m), :, self.stretch] = np.moveaxis(slope, 0, 2)
+        return sensitivities.reshape(m, len(keep), -1)
 
     def added(self, theta: base.Theta) -> AddedCoefficients:
         return AddedCoefficients(self, theta)

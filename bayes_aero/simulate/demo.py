@@ -294,8 +294,8 @@ def refuse(request: Request, card: Card) -> None:
     for what, value, low, high, unit in (
         ("sampling interval", request.dt, 0.002, 0.1, " s"),
         ("duration", request.seconds, SHORTEST, most, " s"),
-        ("noise scale", request.noise_scale, 0.0, 1000.0, ""),
-        ("amplitude", request.amplitude, 0.01, 5.0, ""),
+        ("noise scale", request.noise_scale, 0.0, 1e6, ""),
+        ("amplitude", request.amplitude, 1e-6, 5.0, ""),
         ("altitude", request.altitude, -500.0, 11_000.0, " m"),  # where the simulated air ends
     ):
         if not low <= value <= high:

@@ -189,11 +189,18 @@ def interrupts_blocked() -> Iterator[None]:
 @contextmanager
 def _logs_silenced() -> Iterator[None]:
     """Without Dask's logs of lost connections and dead workers, which are reported by this program."""
-    logging.disable(logging.CRITICAL)
+    every = logging.root.manager.loggerDict
+    loggers = [
+        logging.getLogger(name) for name in every if name.partition(".")[0] in ("distributed", "dask", "tornado")
+    ]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
     try:
         yield
     finally:
-        logging.disable(logging.NOTSET)
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
 
 
 def _short(reason: BaseException) -> str:

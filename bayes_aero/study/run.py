@@ -52,8 +52,6 @@ from bayes_aero.jobs.store import (
 )
 from bayes_aero.model.model import Model
 from bayes_aero.progress import Progress
-from bayes_aero.report.page import put_page
-from bayes_aero.report.pages.study import StudyContext, study_headline, study_page
 
 TASKS: dict[str, type[Options]] = {"identify": IdentifyOptions, "diagnose": DiagnoseOptions, "fly": FlyOptions}
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -80,7 +78,14 @@ class StudyFile(msgspec.Struct):
 
 
 KEYS = StudyFile.__struct_fields__
-CHOICES = {"task": tuple(TASKS), "noise": get_args(NoiseName), "splits": get_args(SplitName)}
+SHAPES = {
+    "records": 'a list of files, e.g. ["flights/*.csv"]', "title": "a text", "task": f"one of {', '.join(TASKS)}",
+    "one_by_one": "true or false", "cards": 'a list of cards, e.g. ["attas"]',
+    "seeds": f"a list of whole numbers from 0 to {MAX_SEED}, e.g. [0, 1]",
+    "splits": f"a list of {', '.join(get_args(SplitName))}", "noise": f"a list of {', '.join(get_args(NoiseName))}",
+    "effects": 'a list of lists of effects, e.g. [[], ["thrust_lag"]]', "options": "a section, [options]",
+}  # fmt: skip
+"""What each key must be."""
 LISTS = ("records", "cards", "seeds", "splits", "noise", "effects")
 
 
@@ -132,8 +137,9 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
     try:
         asked = msgspec.convert(table, StudyFile)
     except msgspec.ValidationError as reason:
-        hint = next((f"; use {', '.join(words)}" for key, words in CHOICES.items() if f"$.{key}" in str(reason)), "")
-        raise InputError(f"{where}: {reason}{hint}") from None
+        key = next(key for key in KEYS if f"$.{key}" in str(reason) or f"`{key}`" in str(reason))
+        given = f" and not {table[key]!r}" if key in table else ""
+        raise InputError(f"{where}: {key} must be {SHAPES[key]}{given}") from None
     for key in LISTS:
         most, count = Counter(map(repr, getattr(asked, key))).most_common(1)[0]
         if count > 1:
@@ -243,7 +249,7 @@ def checked_options(given: dict[str, Any], task: str, where: str) -> dict[str, A
     for key, value in given.items():
         kind = OPTIONS[task][key]
         kind = get_args(kind)[0] if get_origin(kind) is UnionType else kind  # what may be left out is optional
-        bad = "it must be positive" if type(value) in (int, float) and value <= 0 else ""
+        bad = "it must be positive" if type(value) in (int, float) and not value > 0 else ""
         try:
             msgspec.convert(value, kind)
         except msgspec.ValidationError:
@@ -516,6 +522,9 @@ def put_report(study: Study, out: Path) -> tuple[str, tuple[str, ...]]:
         "Each unit": "provenance.json in its folder has its inputs, versions, seed and command",
         "To restore": "environment/requirements.txt has every version",
     }
+    from bayes_aero.report.page import put_page  # these are heavy
+    from bayes_aero.report.pages.study import StudyContext, study_headline, study_page
+
     context = StudyContext(study.title, study.task, _table(out, "units"), _table(out, "summary"), out, facts)
     return study_headline(context), put_page(lambda: study_page(context), out)
 

@@ -274,7 +274,7 @@ def test_constants_of_each_manoeuvre_cannot_fly_another_one(there, linear):
     succeeded(there("fly", "one.csv", "two.csv", "--model", "own.toml", "--out", "own", *FLAGS), 0, 3)
     refused(there("qualify", "own", "other.csv", "--draws", 100, "--out", "no"), "M0", "other")
     found = answer(there("qualify", "own", "--draws", 100, "--out", "both", "--json"))
-    assert "no value of M0" in found["origins"]["structure"]
+    assert "the card states M0 for each manoeuvre" in found["origins"]["structure"]
     turning = open_result(str(linear / "own")).groups()[1]
     assert [s.name for s in turning.sliders] == ["M0_1", "M0_2", "Malpha", "Mq", "Mde"]
 

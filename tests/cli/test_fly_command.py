@@ -198,7 +198,7 @@ def test_a_posterior_is_written_and_bad_chains_are_told(program, tmp_path, monke
     table = pd.read_csv(tmp_path / "out" / "posterior.csv", index_col=0)
     assert set(table.index) == {"Zalpha", "F_alpha", "sigma_alpha"}
     page = page_of(tmp_path / "out")
-    holds(page, "do not use the intervals", "Pair plot")
+    holds(page, "do not use the intervals", "Posterior of pairs of parameters")
 
 
 def test_fly_shows_both_fits_in_a_band_beside_the_time_domain(program, tmp_path):

@@ -4,7 +4,9 @@ import json
 import re
 import subprocess
 import sys
+import time
 from functools import reduce
+from types import SimpleNamespace
 from typing import get_args
 from unittest.mock import Mock, patch
 
@@ -20,6 +22,7 @@ from bayes_aero.cli import app, main, terminal
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
 from bayes_aero.diagnosis.result import WINDOW
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.entry import _heed
 from bayes_aero.flight import reading
 from bayes_aero.inference.gp import SplitKind
 from bayes_aero.jobs import identify as job
@@ -78,6 +81,20 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch, flights):
     done = program("identify", flights.sound)
     assert done.code == INTERRUPTED
     assert "nothing had been written" in done.err
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_ctrl_c_that_a_library_drops_is_raised_again():
+    """JAX hangs a callback on garbage collection; what is raised in it is printed and forgotten."""
+    stop = {"exc_type": KeyboardInterrupt, "exc_value": KeyboardInterrupt()}
+    dropped = SimpleNamespace(**stop, exc_traceback=None, err_msg=None, object=None)
+
+    def callback():
+        _heed(dropped)
+        time.sleep(5.0)
+
+    with pytest.raises(KeyboardInterrupt):
+        callback()
 
 
 def test_nothing_of_an_earlier_run_stands_beside_a_later_one_and_json_is_all_on_stdout(program, flights, tmp_path):

@@ -295,17 +295,18 @@ def test_time_on_the_ground_is_told():
     assert "cut" in finding.sentence
 
 
-def copied(record, name, first=0, last=None, digits=0.0):
+def copied(record, name, first=0, last=None, every=1, digits=0.0):
     """Samples of a record, as another one; `digits`: the last one, of the range of each channel."""
-    part = slice(first, last)
+    part = slice(first, last, every)
     channels = {k: rounded(x, digits * np.ptp(x))[part] for k, x in record.channels.items()}
     return FlightRecord.from_arrays(name, record.time[part] - record.time[first], channels)
 
 
 @pytest.mark.parametrize("copy", [
     {}, {"first": 300, "last": 900}, {"first": 300, "last": 900, "digits": 1e-5}, {"digits": 2e-3}, {"digits": 2e-2},
+    {"every": 2}, {"every": 5, "digits": 1e-3},
 ])  # fmt: skip
-def test_a_copy_of_a_part_or_with_fewer_digits_is_no_new_flight(copy):
+def test_a_copy_of_a_part_with_fewer_digits_or_at_a_part_of_the_rate_is_no_new_flight(copy):
     one, other = flight(17), flight(18)
     (found,) = [f for f in channel_health([one, copied(one, "copy", **copy)], card()) if f.fault == "same_record"]
     assert (found.record, found.begin, found.grave) == ("copy", 0.0, True)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from browsing import (
     HEIGHTS,
-    LABELS,
     RANGES,
     SEEN,
     can_be_read_by_everyone,
@@ -20,11 +19,14 @@ from browsing import (
 )
 from report_samples import CARD, flight, records, study_told
 
+from bayes_aero.flight.columns import Guess
+from bayes_aero.flight.reading import RawColumn
+from bayes_aero.jobs.preparing import Starter
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures import posterior
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.page import section, write_page
-from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
+from bayes_aero.report.pages.check import card_page
 from bayes_aero.report.pages.fly import fly_page
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.pages.parts import PageContext
@@ -199,33 +201,16 @@ def study(tmp_path_factory):
 @pytest.fixture(scope="module")
 def starter(tmp_path_factory):
     time = np.arange(0.0, 40.0, 0.04)
-    taken = [
-        Taken("time", "'Time_s'", "s", 1, "the heading", time),
-        Taken("alpha", "'AOA_deg'", "deg", 1, "the heading", 5.0 + np.sin(time)),
-        Taken("az", "'A_COLUMN_WITH_A_LONG_NAME_<i>'", "g", -1, "its median is 0.999", 1.0 + 0.1 * np.sin(time)),
-        Taken("thrust", "'FN'", None, 1, "the heading; " * 9, 900.0 + time, "1 to 9 N is beyond any flight"),
+    found = [
+        Guess("time", RawColumn("Time_s", 1, time), "s", 1, "the heading"),
+        Guess("alpha", RawColumn("AOA_deg", 2, 5.0 + np.sin(time)), "deg", 1, "the heading"),
+        Guess("az", RawColumn("A_COLUMN_WITH_A_LONG_NAME_<i>", 3, 1.0 + 0.1 * np.sin(time)), "g", -1, "its median"),
+        Guess("thrust", RawColumn("FN", 4, 900.0 + time), None, 1, "the heading; " * 9),
     ]
-    view = StarterView("N1.csv", "N1.toml", time, taken, [Rest("'XYZZY'", None, time)], [("mass", "of the flight")])
-    return write_page(card_page(view, provenance(None, [], None, {})), tmp_path_factory.mktemp("card") / "report.html")
-
-
-@pytest.fixture(scope="module")
-def untimed(tmp_path_factory):
-    """No time was recognised, and one column is shorter than the others."""
-    values = np.sin(np.arange(500) / 20.0)
-    taken = [Taken("alpha", "'AOA_deg'", "deg", 1, "the heading", values)]
-    view = StarterView("N1.csv", "N1.toml", None, taken, [Rest("'T'", None, values[:9])], [("time", "not found")])
-    path = tmp_path_factory.mktemp("untimed") / "report.html"
-    return write_page(card_page(view, provenance(None, [], None, {})), path)
-
-
-def test_without_a_time_columns_are_drawn_over_the_number_of_the_sample(browser, untimed):
-    page = opened(browser, untimed)
-    assert page.heard == []
-    named, rest = page.evaluate(LABELS)
-    assert named == [["alpha [deg]", "number of the sample [-]"]]
-    assert rest[0][1] == "number of the sample [-]"
-    assert "over 499 samples" in page.locator("[role=img]").first.get_attribute("aria-label")
+    unknown = [RawColumn("XYZZY", 5, time)]
+    card = Starter("", [("mass", "of the flight")], {guess.channel: guess for guess in found}, unknown)
+    page = card_page(card, "N1.csv", "N1.toml", provenance(None, [], None, {}))
+    return write_page(page, tmp_path_factory.mktemp("card") / "report.html")
 
 
 PAGES = {  # how many figures it has at least, and whether they are over time

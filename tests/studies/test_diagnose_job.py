@@ -141,7 +141,7 @@ def test_what_a_killed_run_left_is_overwritten(repeated, card, tmp_path, monkeyp
 
     flown = halves(repeated.records[0])
     with monkeypatch.context() as patched:
-        patched.setattr(job.ResultStore, "put_page", killed)
+        patched.setattr(job, "put_page", killed)
         with pytest.raises(KeyboardInterrupt):
             run(repeated.records, card, out=tmp_path, figures=False, points=decided, fly=lambda *_: flown)
     left = validated(tmp_path / "diagnosis.json", "diagnosis")

@@ -195,6 +195,26 @@ def filled(folder: Path, text: str) -> Path:
     return folder
 
 
+def test_a_kill_between_the_renames_leaves_what_was_there(tmp_path, monkeypatch, dead):
+    target = filled(tmp_path / "unit", "old")
+    replace = os.replace
+
+    def killed(source, to):
+        if Path(to) == target:
+            raise KeyboardInterrupt
+        replace(source, to)
+
+    monkeypatch.setattr(os, "getpid", lambda: dead)
+    monkeypatch.setattr(os, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        put_folder(filled(beside(target), "new"), target)
+    assert not target.exists()
+    monkeypatch.undo()
+    sweep(tmp_path)
+    assert (target / "results.json").read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["unit"]
+
+
 def test_a_neighbour_that_puts_the_same_unit_first_is_replaced(tmp_path, monkeypatch):
     target = tmp_path / "unit"
     replace, raced = os.replace, []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -202,6 +202,7 @@ def different_rates(records: Sequence[FlightRecord]) -> Findings:
 FIRST = ("q", "alpha", "az", "theta", "airspeed", "elevator", "p", "ax", "phi", "altitude", "r", "beta", "ay")
 """Channels that tell flights apart best; those of a card's own names come after them."""
 FEWEST = 40  # samples in common
+SLOWER = 20  # times, up to which a copy may be thinned
 CHANNELS = 2  # channels that must agree at least, and that may differ: repaired or filtered anew in one of the files
 
 
@@ -218,33 +219,47 @@ def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, in
     """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing."""
     names = dict.fromkeys(n for n in (*FIRST, *one.channels) if n in one.channels and n in two.channels)
     names = [n for n in names if np.ptp(one[n]) > 0.0 and np.ptp(two[n]) > 0.0]
-    if len(names) < CHANNELS or abs(one.dt - two.dt) > 1e-3 * one.dt:
+    slow = max(one.dt, two.dt)
+    every = [round(slow / record.dt) for record in (one, two)]
+    whole = all(abs(k * record.dt - slow) < 1e-3 * slow for k, record in zip(every, (one, two), strict=True))
+    if len(names) < CHANNELS or max(every) > SLOWER or not whole:
         return None
-    for a, b in ((np.diff(one[lead]), np.diff(two[lead])) for lead in names[:3]):
+    for skipped in product(*map(range, every)):  # a copy may be thinned to a lower rate, from any of its samples on
+        x, y = ({n: r[n][s::k] for n in names} for r, s, k in zip((one, two), skipped, every, strict=True))
+        if shared := _shared(x, y):
+            begin, count = shared
+            sizes, first = (len(x[names[0]]), len(y[names[0]])), skipped[1] + every[1] * begin
+            part = f"is {'' if sizes[0] == sizes[1] else 'part of '}the same record as"
+            part = part if count >= min(sizes) - 2 else "shares a part with the record"
+            words = f"{part} {one.name}: {count} samples ({count * slow:.4g} s) are the same samples"
+            return words, (first, first + every[1] * (count - 1))
+    return None
+
+
+def _shared(one: Mapping[str, np.ndarray], two: Mapping[str, np.ndarray]) -> tuple[int, int] | None:
+    """The first sample of `two` that `one` has, too, and how many follow; None if there are none."""
+    for a, b in ((np.diff(one[lead]), np.diff(two[lead])) for lead in list(one)[:3]):
         # By how many samples b lies behind a where the two correlate best, among overlaps that are long enough.
         lags = np.arange(-(len(b) - 1), len(a))
-        product = np.fft.irfft(np.fft.rfft(a, 2 * len(lags)) * np.fft.rfft(b[::-1], 2 * len(lags)))[: len(lags)]
+        matched = np.fft.irfft(np.fft.rfft(a, 2 * len(lags)) * np.fft.rfft(b[::-1], 2 * len(lags)))[: len(lags)]
         power_a, power_b = (np.concatenate([[0.0], np.cumsum(v**2)]) for v in (a, b))
         begins, ends = np.maximum(0, -lags), np.minimum(len(b), len(a) - lags)
         power = (power_a[ends + lags] - power_a[begins + lags]) * (power_b[ends] - power_b[begins])
         enough = (ends - begins >= FEWEST) & (power > 1e-12 * power_a[-1] * power_b[-1])
-        score = np.where(enough, product / np.sqrt(np.where(enough, power, 1.0)), -1.0)
-        lag = int(lags[np.argmax(score)])
-        if score.max() <= 0.5:
+        score = np.where(enough, matched / np.sqrt(np.where(enough, power, 1.0)), -1.0)
+        lag = int(lags[np.argmax(score)]) if len(score) else 0
+        if not len(score) or score.max() <= 0.5:
             continue
-        begin, end = max(0, -lag), min(two.n, one.n - lag)  # samples of `two` that `one` has, too
+        begin, end = max(0, -lag), min(len(b) + 1, len(a) + 1 - lag)
         alike = 0
-        for name in names:  # they step alike, noise included, or differ by no more than their last digits
+        for name in one:  # they step alike, noise included, or differ by no more than their last digits
             x, y = one[name][begin + lag : end + lag], two[name][begin:end]
             dx, dy, digit = np.diff(x), np.diff(y), quantum(x) + quantum(y)
             power = np.sqrt(float(dx @ dx) * float(dy @ dy))
             rounded = digit < 0.1 * np.ptp(y) and float(np.max(np.abs(x - y))) <= 0.51 * digit
             alike += rounded or (power > 0.0 and float(dx @ dy) > 0.999 * power)  # which two flights never have
-        if alike >= max(CHANNELS, len(names) - CHANNELS):
-            whole = f"is {'' if one.n == two.n else 'part of '}the same record as"
-            part = whole if end - begin >= min(one.n, two.n) - 2 else "shares a part with the record"
-            shared = f"{end - begin} samples ({(end - begin) * one.dt:.4g} s) are the same samples"
-            return f"{part} {one.name}: {shared}", (begin, end - 1)
+        if alike >= max(CHANNELS, len(one) - CHANNELS):
+            return begin, end - begin
     return None
 
 

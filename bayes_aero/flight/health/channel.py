@@ -176,7 +176,8 @@ def _stuck(record: FlightRecord, rates: dict[str, np.ndarray], name: str, runs: 
             bias = np.median(rates[name] - np.gradient(x, record.time)) if name in ("alpha", "beta") else 0.0
             moved = float(np.ptp(np.cumsum(rates[name][part] - bias) * record.dt))
         if moved is not None:  # by so much as the other channels say
-            frozen = moved > max(4.0 * health.quantum_of(x), 5.0 * health.noise_of(x), MOVED.get(name, 0.0))
+            step = health.quantum_of(np.delete(x, np.s_[part]))
+            frozen = moved > max(4.0 * step, 5.0 * health.noise_of(x), MOVED.get(name, 0.0))
         else:
             # A computed signal scatters by its rounding alone, 0.3 of the last digit.
             scatters = health.noise_of(np.delete(x, np.s_[part])) > max(NOISELESS * float(np.ptp(x)), health.quantum(x))

@@ -454,7 +454,8 @@ def _whole(record: FlightRecord, card: Card, view: View, before: Misfits) -> tup
     # 500 samples, or those of 0.1 s, tell one sign from another.
     step = max(1, min(len(view["time"]) // 500, int(0.1 / np.median(np.diff(view["time"])))))
     few = {name: x[::step] for name, x in view.items()}
-    names = [n for n in TURNED if n in view]
+    sensors = {name: view[name] for name in record.channels if name in view}  # a constant of the card has no axes
+    names = [n for n in TURNED if n in sensors]
     signs = np.array(list(product((1, -1), repeat=len(names))))
     turned = [terms_of({**few, name: -few[name]}) for name in names]
     odd = {  # of each relation, which terms (k, channels) count the other way with a channel
@@ -463,7 +464,7 @@ def _whole(record: FlightRecord, card: Card, view: View, before: Misfits) -> tup
     }
     # All ways to take the channels of an instrument for each other, and all signs.
     orders = [
-        [dict(zip(kind, order, strict=True)) for order in (permutations(kind) if {*kind} <= view.keys() else [kind])]
+        [dict(zip(kind, order, strict=True)) for order in (permutations(kind) if {*kind} <= sensors.keys() else [kind])]
         for kind in INSTRUMENTS.values()
     ]
     whole: list[tuple[float, float, Moves]] = []
@@ -478,14 +479,14 @@ def _whole(record: FlightRecord, card: Card, view: View, before: Misfits) -> tup
     least = min(score for score, _, _ in whole)
     # A fault costs a quarter of such a logarithm; axes are as many as two, beside single channels.
     alike = [
-        (score + 0.25 * min(len(m), 2 + axes_of(m, view)[1]), worst, m)
+        (score + 0.25 * min(len(m), 2 + axes_of(m, sensors)[1]), worst, m)
         for score, worst, m in whole
         if score < least + ALIKE
     ]
     total = min(score for score, *_ in alike)
     tied = sorted((it for it in alike if it[0] < total + 0.2), key=lambda it: len(it[2]))
     _, worst, moves = tied[0]
-    reading, *others = (moved(card, view, m) for _, _, m in tied)
+    reading, *others = (moved(card, sensors, m) for _, _, m in tied)
     # Beyond twice what noise and errors of scale make, a relation does not hold.
     if not moves or worst > 2.0 or (others and any(r.fault == "axes" for r in (reading, *others))):
         return None

@@ -49,30 +49,6 @@ def measured_simulated(view: View) -> Figure:
     return drawn(columns, "Measured and simulated coefficients, the error of the last model shaded")
 
 
-@style.housed
-def ranking(view: View) -> Figure:
-    """Score of every candidate in the first screening of each stage, and the level of selection."""
-    if not view.rankings:
-        raise style.NotDrawn("no screening was done")
-    rows = [len(r.candidate_scores) + 1.0 for r in view.rankings]
-    figure, axes = style.panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
-    for ax, r in zip(axes[:, 0], view.rankings, strict=True):
-        causes = {c.name for c in view.diagnosis.causes if c.stage == r.stage}
-        colours = [COLOURS["chosen" if s.effect in causes else "candidate"] for s in r.candidate_scores]
-        bars = ax.barh(range(len(colours)), [s.score for s in r.candidate_scores], color=colours, height=0.75)
-        ax.bar_label(bars, fmt="%.1f", padding=2, fontsize=7.0, bbox=TIGHT, zorder=5)
-        if np.isfinite(r.threshold):
-            ax.axvline(r.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
-            label = f"noise alone exceeds\n{r.threshold:.1f} in {100.0 * r.level:g} % of replicates"
-            ax.text(0.99, 0.02, label, transform=ax.transAxes, va="bottom", ha="right", **style.NOTE)
-        _rows_of(ax, [s.effect for s in r.candidate_scores])
-        ax.margins(x=0.1)
-        ax.set_xlabel("estimate over its standard error, autocorrelation included [-]")
-        ax.set_title(f"Stage: {r.stage}")
-    figure.suptitle("Candidates before any addition\n(named causes in colour; later screenings may reorder them)")
-    return figure
-
-
 def _rows_of(ax: Axes, names: Sequence[str]) -> None:
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.4, -0.6)
@@ -97,8 +73,9 @@ def gain(view: View) -> Figure:
     for row, key, label, form in zip(axes, ("r2", "rmse"), ("R²", "RMSE"), ("%.3f", "%.4f"), strict=True):
         for ax, name in zip(row, view.coefficients, strict=True):
             values = [getattr(scores[name], key) for _, _, scores in links]
-            bars = ax.barh(range(len(links)), values, color=[colour for _, colour, _ in links], height=0.7)
-            ax.bar_label(bars, fmt=form, padding=2, fontsize=7.5)
+            shown = np.maximum(values, -1.0)  # a bar that leaves the axes would have no number
+            bars = ax.barh(range(len(links)), shown, color=[colour for _, colour, _ in links], height=0.7)
+            ax.bar_label(bars, [form % value for value in values], padding=2, fontsize=7.5)
             _rows_of(ax, [label for label, _, _ in links])
             ax.set_xlim(max(-1.0, min(0.0, *values)), 1.25 * (1.0 if key == "r2" else np.nanmax(values)))
             ax.set_xlabel(f"{label} of {name} [-]")
@@ -137,7 +114,6 @@ def residual_profiles(view: View) -> Figure:
 
 @style.housed
 def residual_colour(view: View) -> Figure:
-    """Autocorrelation of the residuals, before and after."""
     names, dt = view.coefficients, view.seconds
     figure, axes = style.panels(1, len(names), (4.0 * len(names) + 1.0, 3.6))
     for c, (name, ax) in enumerate(zip(names, axes[0], strict=True)):
@@ -158,10 +134,6 @@ def autocorrelation(parts: list[Float[np.ndarray, " _"]], longest: int) -> tuple
     lags = np.arange(min(longest, min(len(p) for p in parts) - 1) + 1)
     products = [sum(float(p[lag:] @ p[: len(p) - lag]) for p in centred) for lag in lags]
     return lags, np.array(products) / max(products[0], 1e-300)
-
-
-# --- A diagnosis in one figure: the largest error of the card's model, the screening, the error of the extended
-# model.
 
 
 @style.housed
@@ -229,9 +201,7 @@ def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:
         ax.barh(y, 100.0 * s.explains, height=0.75, color=colour, alpha=0.45 if chance else 1.0)
         if s.effect in named:
             sizes = {n: size_text(x.mean, x.sd, x.unit) for n, x in named[s.effect].parameters.items()}
-            text = (
-                "\n".join(f"{n} = {size}" for n, size in sizes.items()) if len(sizes) > 1 else "".join(sizes.values())
-            )
+            text = "\n".join(f"{n} = {size}" if len(sizes) > 1 else size for n, size in sizes.items())
         size = 6.0 if "\n" in text else 7.5
         ax.text(1.02 * widest, y, text, ha="right", va="center", fontsize=size, bbox=TIGHT, zorder=5)
     _rows_of(ax, [s.effect for s in leaders])
@@ -241,5 +211,5 @@ def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:
     ax.set_title(f"First screening, {ranking.stage}")
 
 
-drawings = measured_simulated, ranking, gain, residual_profiles, residual_colour, found
+drawings = measured_simulated, gain, residual_profiles, residual_colour, found
 DIAGNOSIS_FIGURES = {draw.__name__: draw for draw in drawings}

@@ -23,7 +23,6 @@ FIGURES: dict[str, Drawing] = dict(sorted((posterior.FIGURES | time_histories.FI
 DIAGNOSIS_FIGURES: ViewFigures = (
     diagnosis.DIAGNOSIS_FIGURES | posterior.DIAGNOSIS_FIGURES | {"trajectories_hold_out": time_histories.hold_out}
 )
-"""What a diagnosis shows."""
 AFTER_TRAJECTORIES = ("found", "trajectories_hold_out")
 """Those of a diagnosis that need trajectories, or show them if they are there."""
 
@@ -33,10 +32,7 @@ Shown = TypeVar("Shown")
 def draw_all(
     drawings: Mapping[str, Callable[[Shown], Figure]], shown: Shown, folder: Path, progress: Progress | None = None
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Draw every figure for which `shown` holds something into `folder` as PNG: paths, and a sentence on each failure.
-
-    One that fails leaves no file and does not keep the others from being drawn.
-    """
+    """Draw every figure for which `shown` holds something into `folder`: paths, and a sentence on each failure."""
     folder.mkdir(parents=True, exist_ok=True)
     written, failed = [], []
     for number, (stem, draw) in enumerate(drawings.items()):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import arviz_base as azb
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import View
     from bayes_aero.inference.results import Identification, Posterior, Stall
 
-
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
 RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows with it
 PAIR_DRAWS = 400  # per chain
@@ -46,8 +46,7 @@ def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
 
 
 def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: Any) -> Figure:
-    with style.quiet_pyplot():
-        plots = style.arviz_plots()
+    with style.arviz_plots() as plots:
         layout = {"figsize": size, "figsize_units": "inches"}
         collection = getattr(plots, f"plot_{kind}")(tree, backend="matplotlib", figure_kwargs=layout, **options)
         figure = collection.get_viz("figure")
@@ -114,9 +113,6 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
         ax.set_ylabel(("density" if row == 0 else f"{names[row]} [SI]") if column == 0 else "")
     figure.suptitle(f"Posterior by {label_of(engine)}: the parameters of the largest correlations")
     return figure
-
-
-# --- Calibration of predictions: histograms of the probability integral transform, and quantiles of innovations.
 
 
 @style.housed
@@ -193,8 +189,6 @@ def hysteresis(identification: Identification) -> Figure:
     return figure
 
 
-# --- Bounds and credible intervals: forest plots, and every standard error as a multiple of the Cramer-Rao bound.
-
 GREY = "#555555"  # of what has no colour of its own
 MARKERS = {"crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^"}
 
@@ -264,22 +258,6 @@ def crb_vs_credible(identification: Identification) -> Figure:
 
 CORRELATIONS = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
 CORRELATIONS |= {name: f"correlation_{name}" for name in LATERAL}
-"""The figure of a coefficient measured against predicted."""
-FIGURES: dict[str, style.Drawing] = {
-    f"{kind}_{engine}": style.housed(partial(_chains, kind=kind, engine=engine))
-    for engine in ("emcee", "nuts")
-    for kind in ("trace", "rank")
-}
-FIGURES |= {
-    "pair": lambda run: pair_of(chosen_posteriors(run)),
-    "pit": pit_histogram,
-    "fig5_stall_hysteresis": hysteresis,
-}
-FIGURES |= {stem: style.housed(partial(_correlation, name=name)) for name, stem in CORRELATIONS.items()}
-FIGURES |= {"forest": forest, "crb_vs_credible": crb_vs_credible}
-
-
-# --- Priors against posteriors.
 
 WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
 
@@ -373,11 +351,6 @@ def _hyperparameters(tree: xr.DataTree, group: str) -> dict[tuple[str, str], np.
     return draws
 
 
-# --- Number of effects that need each recorded channel.
-
-KINDS = ("mle", "gpr", "emcee", "nuts", "crb_corrected", "white")  # roles whose colours kinds of effects take, in turn
-
-
 # --- The stall: recorded lift and drag with the steady curves, and the separation point with its band.
 
 BAND: dict[str, Any] = {"alpha": 0.25, "lw": 0.0}
@@ -411,11 +384,8 @@ def _stall(models: Sequence[StallModel], manoeuvre: np.ndarray, seconds: float) 
     for number, (title, colour, flown, s) in enumerate(models):
         (lift, polar), (time, spare) = axes[2 * number], axes[2 * number + 1]
         spare.remove()
-        whose, alpha, measured = (
-            f", {title}" if title else "",
-            np.rad2deg(flown["alpha"]),
-            np.asarray(flown["measured"]),
-        )
+        whose, alpha = f", {title}" if title else "", np.rad2deg(flown["alpha"])
+        measured = np.asarray(flown["measured"])
         rising, degrees = np.asarray(flown["alpha_dot"]) > 0.0, np.rad2deg(s.alpha)
         for key, mask in (("rising", rising), ("falling", ~rising)):
             dots: dict[str, Any] = {"marker": ".", "ls": "none", "alpha": 0.5, "color": COLOURS[key]}
@@ -468,12 +438,20 @@ def _separation(models: Sequence[StallModel], *_: Any) -> Figure:
     return figure
 
 
-FIGURES |= {
+FIGURES: dict[str, style.Drawing] = {
+    "pair": lambda run: pair_of(chosen_posteriors(run)),
+    "pit": pit_histogram,
+    "fig5_stall_hysteresis": hysteresis,
+    "forest": forest,
+    "crb_vs_credible": crb_vs_credible,
     "prior_posterior": prior_posterior,
     "gp_prior_posterior": gp_prior_posterior,
     "stall": style.housed(lambda run: _stall(*_of_run(run))),
     "separation": style.housed(lambda run: _separation(*_of_run(run))),
 }
+FIGURES |= {stem: style.housed(partial(_correlation, name=name)) for name, stem in CORRELATIONS.items()}
+for kind, engine in product(("trace", "rank"), ("emcee", "nuts")):
+    FIGURES[f"{kind}_{engine}"] = style.housed(partial(_chains, kind=kind, engine=engine))
 DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
     "stall_models": style.housed(lambda view: _stall(*_of_view(view))),
     "separation_models": style.housed(lambda view: _separation(*_of_view(view))),

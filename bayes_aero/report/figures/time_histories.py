@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
@@ -17,17 +18,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.phrases import bracket
-from bayes_aero.report.plots import (
-    COLOURS,
-    FLOWN,
-    MODELS,
-    Panel,
-    extremes,
-    measured_panel,
-    output_panels,
-    scale,
-    stem_of,
-)
+from bayes_aero.report.plots import COLOURS, FLOWN, MODELS, Panel, extremes, measured_panel, output_panels, scale
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import ProcessNoise, TrajectoryFit, View
@@ -60,7 +51,6 @@ def drawn(columns: Sequence[tuple[str, np.ndarray, Sequence[Panel]]], title: str
 
 
 def draw_panel(ax: Axes, time: np.ndarray, panel: Panel) -> None:
-    """Curves with shaded errors, the tolerance, and the note."""
     kept = extremes([line.values for line in panel.lines])
     t, values = time[kept], [line.values[kept] for line in panel.lines]
     if panel.band is not None:
@@ -73,9 +63,6 @@ def draw_panel(ax: Axes, time: np.ndarray, panel: Panel) -> None:
     ax.margins(x=0.01)
     ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
     ax.text(0.01, 0.95, panel.note, transform=ax.transAxes, va="top", **style.NOTE)
-
-
-# --- Of an identification: manoeuvres, and coefficients at the chosen split's test points.
 
 
 @style.housed
@@ -101,7 +88,6 @@ def predicted(identification: Identification, coefficient: str) -> pd.DataFrame:
 
 
 def what_is_shown(identification: Identification) -> str:
-    """Where the predictions are shown, for titles."""
     gp = identification.gp
     return "fit to all samples" if gp is None else f"test points of the {gp.chosen} split"
 
@@ -159,10 +145,8 @@ def gpr_fit(identification: Identification) -> Figure:
 VALIDATIONS = {"CL": "fig3_validation_CL", "CD": "fig6_validation_CD", "Cm": "fig8_validation_Cm"}
 VALIDATIONS |= {name: f"validation_{name}" for name in LATERAL}
 FIGURES = {"fig1_time_history": time_history, "fig2_gpr_fit": gpr_fit}
-FIGURES |= {
-    stem: style.housed(partial(_over_time, title=f"Validation of {name}", names=(name,), errors=True))
-    for name, stem in VALIDATIONS.items()
-}
+for name, stem in VALIDATIONS.items():
+    FIGURES[stem] = style.housed(partial(_over_time, title=f"Validation of {name}", names=(name,), errors=True))
 
 
 # --- Simulated trajectories over the measured ones: of `fly`, and of `diagnose` before and after the extension.
@@ -170,7 +154,6 @@ FIGURES |= {
 
 @style.housed
 def hold_out(view: View) -> Figure:
-    """Every manoeuvre, simulated with the fit to the others."""
     flown = view.trajectories
     if flown is None:
         raise style.NotDrawn("nothing was simulated")
@@ -185,7 +168,8 @@ def hold_out(view: View) -> Figure:
 
 def fly_figures(flown: TrajectoryFit) -> dict[str, Callable[[TrajectoryFit], Figure]]:
     """A figure for each output, by the stem of its file, and the responses in a band."""
-    return {stem_of(n): style.housed(partial(_simulated, n)) for n in flown.outputs} | {"bode": bode}
+    stems = {n: f"trajectory_{re.sub(r'[^A-Za-z0-9_-]', '_', n)}" for n in flown.outputs}
+    return {stem: style.housed(partial(_simulated, n)) for n, stem in stems.items()} | {"bode": bode}
 
 
 def _simulated(output: str, flown: TrajectoryFit) -> Figure:
@@ -197,7 +181,6 @@ def _simulated(output: str, flown: TrajectoryFit) -> Figure:
 
 
 MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "buffet": "buffet [CL of separated flow]"}
-"""Gusts by name, as people call them."""
 
 
 @style.housed
@@ -220,8 +203,6 @@ def gusts(disturbed: ProcessNoise) -> Figure:
     figure.suptitle("Estimated gusts, with 95 % bands", fontsize=10.0)
     return figure
 
-
-# --- Frequency responses of a linear card, measured and modelled.
 
 KNOWN = 0.3  # largest standard error, of the value, with which a measured response is shown
 DECIBEL = 20.0 / math.log(10.0)  # of a relative change

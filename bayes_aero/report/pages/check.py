@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import Agreement
-from bayes_aero.report.page import HtmlTable, Plot, Report, fold, page_table, section
+from bayes_aero.report.page import HtmlTable, Plot, Report, fold, section
 from bayes_aero.report.pages import parts
-from bayes_aero.report.phrases import (
-    for_people,
-    not_testable_sentences,
-    sentence,
-    several,
-    symbol,
-    unit_behind,
-)
-from bayes_aero.report.plots import COLOURS, SAMPLE, TIME, Line, Panel
+from bayes_aero.report.phrases import for_people, not_testable_sentences, sentence, several, unit_behind
+from bayes_aero.report.plots import COLOURS, Line, Panel, measured_panel
 from bayes_aero.report.table import Column, Table, columns_of
 from bayes_aero.units import number
 
@@ -29,6 +21,7 @@ if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import CheckReport
     from bayes_aero.flight.reading import RecordReport
     from bayes_aero.flight.record import FlightRecord
+    from bayes_aero.jobs.preparing import Starter
 
 MAX_PARTS = 12  # of a file in a sentence; the JSON has all
 CHANNELS = (
@@ -37,7 +30,6 @@ CHANNELS = (
 
 
 def headline(report: CheckReport) -> str:
-    """The verdict in a sentence."""
     if report.usable:
         able = [name for name, why in report.uses.items() if not why]
         wrong = {
@@ -53,7 +45,6 @@ def headline(report: CheckReport) -> str:
 
 
 def part_sentences(record: RecordReport) -> list[str]:
-    """The parts of a file that may be analysed in place of the whole, as they are written on the command line."""
     sentences = []
     for what, words in (("in flight", "parts in flight"), ("manoeuvre", "manoeuvres")):
         if places := [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]:
@@ -69,7 +60,6 @@ def unused_columns(report: CheckReport) -> list[tuple[str, ...]]:
 
 
 def card_sentences(report: CheckReport) -> list[str]:
-    """Channels that the card adds to the files."""
     card, units = report.card, {"thrust": "N"} | {name: c.unit for name, c in STANDARD_CHANNELS.items()}
     behind = {name: f" {units[name]}".removesuffix(" 1") if name in units else " in SI" for name in card.constants}
     sentences = [f"constant from the card: {name} = {x:g}{behind[name]}" for name, x in card.constants.items()]
@@ -107,7 +97,6 @@ def left_over(report: CheckReport) -> str:
 
 
 def sampling(record: RecordReport) -> str:
-    """Samples, duration and rate."""
     rate = f"{1.0 / record.dt:.4g} Hz" if record.dt > 0.0 else "no sampling rate"
     return f"{record.samples} samples, {record.duration:.6g} s, {rate}"
 
@@ -116,6 +105,7 @@ def channel_table(record: RecordReport) -> Table:
     """A row for each channel: where it is taken from, its unit and range; values are in the file's own units."""
     column = columns_of(record.channels)
     marks = ((["sign reversed"] * (c.sign < 0), ["does not move"] * (not c.moves)) for c in record.channels)
+    remarks = [", ".join([*turned, *still]) for turned, still in marks]
     unit, values = "unit → inside", "range in the file"
     return Table(
         [
@@ -123,7 +113,7 @@ def channel_table(record: RecordReport) -> Table:
             column(lambda c: c.place, "", "taken from", "taken from", words=True),
             column(lambda c: c.unit if c.unit == c.si else f"{c.unit} → {c.si}", "", unit, unit),
             column(lambda c: f"{c.lowest:.5g} to {c.highest:.5g}", "", values, values),
-            Column([", ".join([*turned, *still]) for turned, still in marks], "", "remark", "", words=True),
+            Column(remarks, "", "remark" if any(remarks) else None, "", words=True),
         ],
         f"{sampling(record)}; {record.gaps} gaps, {record.uneven} uneven steps",
         terminal_title="",
@@ -131,10 +121,9 @@ def channel_table(record: RecordReport) -> Table:
 
 
 def check_page(report: CheckReport, source: Mapping[str, Any]) -> Report:
-    """The page; the first record's time histories stand at its top."""
     sound = [r.record for r in report.records if r.record is not None]
     wrong = [f"{r.path}: {p}" for r in report.records for p in r.problems]
-    plots = recorded(sound)
+    more, *plots = recorded(sound)
     uses = [*use_sentences(report), *(said for r in report.records for said in part_sentences(r))]
     return Report(
         title=f"Record check: {report.card.title}",
@@ -147,37 +136,27 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Report:
             section("sensors", "Do the sensors agree?", lambda: _sensors(report)),
             section("records", "The records at a glance", lambda: sound and parts.at_a_glance(sound, report.card)),
             section("channels", "Source of each channel", lambda: _channels(report)),
-            section("histories", "More records", lambda: plots[1:]),
+            section("histories", "More records", lambda: (more, plots[1:])),
             parts.provenance_section(source),
         ],
     )
 
 
-def recorded(records: Sequence[FlightRecord]) -> tuple[Plot | str, ...]:
+def recorded(records: Sequence[FlightRecord]) -> list[Any]:
     """Each record's main channels over time; the first few where there are many."""
-    shown, remark = parts.first([record.name for record in records])
-    plots = []
-    for order, record in enumerate(records[: len(shown)]):
-        known = {n: for_people(STANDARD_CHANNELS[n].unit) for n in CHANNELS if record.has(n)}
-        panels = [_panel(symbol(n), unit, factor * record[n]) for n, (unit, factor) in known.items()]
-        if panels:
-            what = "Recorded channels"
-            plots.append(parts.histories(record.name, f"time-recorded-{order}", record.time, panels, what))
-    return (*plots, remark)
-
-
-def _panel(name: str, unit: str, values: np.ndarray) -> Panel:
-    return Panel(name, unit, (Line("recorded", COLOURS["measured"], values),))
+    some = [(r.name, r.time, [measured_panel(n, r[n]) for n in CHANNELS if r.has(n)]) for r in records]
+    some = [each for each in some if each[-1]]
+    return parts.flights([name for name, *_ in some], "recorded", "Recorded channels", lambda k, _: some[k][1:])
 
 
 def _sensors(report: CheckReport) -> tuple[Any, ...]:
     said, errors = sensor_sentences(report), report.sensors.errors
     if report.sensors.note:
         return (said,)
-    faint = {True: "too small to be named", False: ""}
-    rows = tuple((name, e["claim"], parts.error_sizes(e), faint[e["minor"]]) for name, e in errors.items())
-    head = ("error", "claim", "size ± sd", "remark")
-    table = HtmlTable("Errors estimated along the flight path", head, rows, words=(1, 2, 3)).lean()
+    faint = " (too small to be named)"
+    sizes = {name: f"{parts.error_sizes(e)}{faint if e['minor'] else ''}" for name, e in errors.items()}
+    rows = tuple((name, e["claim"], sizes[name]) for name, e in errors.items())
+    table = HtmlTable("Errors estimated along the flight path", ("error", "claim", "size ± sd"), rows, words=(1, 2))
     left = left_over(report)
     return said, table if rows else None, f"{left[:1].upper()}{left[1:]}."
 
@@ -187,115 +166,66 @@ def _channels(report: CheckReport) -> list[Any]:
     for r, columns in zip(report.records, unused_columns(report), strict=True):
         remarks = [f"On the card, not in the file (not required): {', '.join(r.missing)}."] if r.missing else []
         remarks += [f"In the file, not on the card: {', '.join(columns)}."] if columns else []
-        tables.append(fold(r.path, page_table(channel_table(r)).lean(), [*remarks, *r.remarks]))
+        tables.append(fold(r.path, channel_table(r), [*remarks, *r.remarks]))
     return [*tables, card_sentences(report)]
 
-
-# --- The report of a starter card: which column was taken for what, why, and what only its user can know.
 
 MOST_PANELS = 16
 
 
-@dataclass(frozen=True)
-class Taken:
-    """A column of the file taken for a channel: (n,) `values` in the file's numbers, its unit, and why."""
+def card_page(starter: Starter, record: str, card: str, source: Mapping[str, Any]) -> Report:
+    """The page of the card `card`, written from the file `record`."""
+    taken = {name: g for name, g in starter.found.items() if not starter.doubt(name)}
+    columns = len(starter.found) + len(starter.unknown)
+    left = f"{len(starter.todo)} entries are to be filled in" if starter.todo else "no entry is left to be filled in"
+    blind = f" {sentence('blind', names=starter.blind)}" if starter.blind else ""
+    time = starter.found["time"].si if "time" in starter.found else np.zeros(0)
 
-    channel: str
-    place: str
-    unit: str | None
-    sign: int
-    evidence: str
-    values: np.ndarray
-    doubt: str = ""  # why it stands in the card as a comment only; empty where it was taken
+    def drawn(key: str, what: str, columns: Iterable[tuple[str, str | None, np.ndarray | None]]) -> Plot | None:
+        """Columns over time, if that is known."""
+        same = [(name, unit, x) for name, unit, x in columns if x is not None and len(x) == len(time)]
+        shown = [(name, unit or "unit?", (Line("recorded", COLOURS["measured"], x),)) for name, unit, x in same]
+        panels = [Panel(*each) for each in shown[:MOST_PANELS]]
+        known = panels and len(time) > 1 and np.all(np.diff(time) > 0.0)
+        return parts.histories(record, key, time, panels, what) if known else None
 
-
-@dataclass(frozen=True)
-class Rest:
-    """A column that nothing was guessed for; `values` are (n,) in the file's numbers, None where it holds none."""
-
-    place: str
-    unit: str | None
-    values: np.ndarray | None
-
-
-@dataclass(frozen=True)
-class StarterView:
-    """What a starter card was written from: guesses, columns that nothing was guessed for, what is left to fill in."""
-
-    record: str
-    card: str
-    time: np.ndarray | None
-    taken: Sequence[Taken]
-    unknown: Sequence[Rest]
-    todo: Sequence[tuple[str, str]]  # key, and what the card says of it
-    blind: Sequence[str] = ()  # accelerations that were not found
-
-
-def card_page(view: StarterView, source: Mapping[str, Any]) -> Report:
-    """The page."""
-    used = [t for t in view.taken if not t.doubt]
-    columns = len(view.taken) + len(view.unknown)
-    left = f"{len(view.todo)} entries are to be filled in" if view.todo else "no entry is left to be filled in"
-    blind = f" {sentence('blind', names=view.blind)}" if view.blind else ""
-    panels = [_panel(t.channel, t.unit or "unit?", t.sign * t.values) for t in used if t.channel != "time"]
-    todo = HtmlTable("Entries that say TODO", ("entry", "what it is"), tuple(view.todo), words=(1,))
-    taken = "recorded, with the sign and in the unit that were guessed"
+    said = "Recorded columns, recorded, with the sign and in the unit that were guessed,"
+    guesses = [(name, g.unit, g.sign * g.values) for name, g in taken.items() if name != "time"]
+    rest = "Columns without a name, recorded, as it is in the file,"
+    todo = HtmlTable("Entries that say TODO", ("entry", "what it is"), tuple(starter.todo), words=(1,))
+    places = [column.place + (": no numbers" if column.values is None else "") for column in starter.unknown]
+    unknown = (
+        "They stand in the card as comments; give them a name there if the model needs them.",
+        places,
+        drawn("time-rest", rest, ((c.place, c.unit, c.values) for c in starter.unknown)),
+    )
     return Report(
-        title=f"Starter card: {view.card}",
-        subtitle=f"Written from the columns of {view.record}; every line is a proposal to be checked",
-        verdict=f"{len(used)} of {columns} columns were assigned to channels; {left}.{blind}",
-        lead=[_drawn(view, "time-columns", "Recorded columns", taken, panels)],
+        title=f"Starter card: {card}",
+        subtitle=f"Written from the columns of {record}; every line is a proposal to be checked",
+        verdict=f"{len(taken)} of {columns} columns were assigned to channels; {left}.{blind}",
+        lead=[drawn("time-columns", said, guesses)],
         sections=[
-            section("todo", "To be completed", lambda: todo if view.todo else None),
-            section("guesses", "Proposals and their evidence", lambda: _guesses(view.taken)),
-            section("unknown", "Columns without a proposal", lambda: _unknown(view)),
+            section("todo", "To be completed", lambda: todo if starter.todo else None),
+            section("guesses", "Proposals and their evidence", lambda: _guesses(starter)),
+            section("unknown", "Columns without a proposal", lambda: unknown if places else None),
             parts.provenance_section(source),
         ],
     )
 
 
-def _drawn(view: StarterView, key: str, title: str, said: str, panels: Sequence[Panel]) -> Plot | None:
-    """Columns over time, or over the number of the sample where no time was found; those of one length."""
-    time = view.time
-    known = time is not None and len(time) > 1 and bool(np.all(np.diff(time) > 0.0))
-    longest = max((len(p.lines[0].values) for p in panels), default=0)
-    x, over = (np.asarray(time), TIME) if known else (np.arange(longest, dtype=float), SAMPLE)
-    shown = [p for p in panels if len(p.lines[0].values) == len(x) > 1][:MOST_PANELS]
-    return parts.histories(view.record, key, x, shown, f"{title}, {said},", over) if shown else None
-
-
-def _guesses(taken: Sequence[Taken]) -> tuple[Any, ...]:
-    rows = tuple(
-        (
-            t.channel,
-            t.place,
-            t.unit or "unknown",
-            "turned" if t.sign < 0 else "as it is",
-            f"{number(float(np.min(t.values)), 4)} to {number(float(np.max(t.values)), 4)}",
-            t.evidence + (f"; not taken, {t.doubt}" if t.doubt else ""),
-        )
-        for t in taken
-    )
+def _guesses(starter: Starter) -> tuple[Any, ...]:
+    rows = []
+    for name, g in starter.found.items():
+        sign, doubt = "turned" if g.sign < 0 else "as it is", starter.doubt(name)
+        low, high = (number(float(f(g.values)), 4) for f in (np.min, np.max))
+        evidence = g.evidence + (f"; not taken, {doubt}" if doubt else "")
+        rows.append((name, g.column.place, g.unit or "unknown", sign, f"{low} to {high}", evidence))
     said = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
     head = ("channel", "column", "unit", "sign", "range in the file", "evidence")
-    return (said, HtmlTable("Guesses", head, rows, words=(5,))) if rows else ()
+    return (said, HtmlTable("Guesses", head, tuple(rows), words=(5,))) if rows else ()
 
 
-def _unknown(view: StarterView) -> tuple[Any, ...]:
-    said = "They stand in the card as comments; give them a name there if the model needs them."
-    places = [rest.place + (": no numbers" if rest.values is None else "") for rest in view.unknown]
-    panels = [_panel(r.place, r.unit or "unit?", r.values) for r in view.unknown if r.values is not None]
-    as_is = "recorded, as it is in the file"
-    return (said, places, _drawn(view, "time-rest", "Columns without a name", as_is, panels)) if places else ()
-
-
-# --- An effect of the catalogue on a terminal.
-
-Described = Mapping[str, Any]
-"""An effect as the catalogue describes it."""
-
-
-def facts(effect: Described) -> list[tuple[str, str]]:
+def facts(effect: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Name and text of what holds for the effect as a whole."""
     channel = effect["stage"] == "channel"
     stage = "acts on the recorded channels" if channel else f"acts at the stage {effect['stage']}"
@@ -327,18 +257,14 @@ def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
     return known
 
 
-def worked(effect: Described) -> str:
-    """The worked example in a sentence."""
+def worked(effect: Mapping[str, Any]) -> str:
     example = effect["example"]
-    given, added = (
-        ", ".join(f"{name} = {shown(value)}" for name, value in values.items())
-        for values in (example["parameters"] | example["signals"] | example["known"], example["increments"])
-    )
+    sides = example["parameters"] | example["signals"] | example["known"], example["increments"]
+    given, added = (", ".join(f"{name} = {shown(value)}" for name, value in side.items()) for side in sides)
     return f"{given} adds {added} ({example['source']})"
 
 
 def shown(value: Any) -> str:
-    """A number, or numbers in brackets."""
     if isinstance(value, Sequence):
         return "(" + ", ".join(shown(x) for x in value) + ")"
     if math.isinf(value):

@@ -24,13 +24,12 @@ from bayes_aero.report.phrases import (
     unit_behind,
     unparted,
 )
-from bayes_aero.report.plots import COLOURS, FLOWN, LOW, Line, Panel, output_panels
+from bayes_aero.report.plots import FLOWN, LOW, Panel, measured_panel, output_panels
 from bayes_aero.report.table import NONE, Column, Estimate, Table, in_brackets, or_dash, parameter_columns, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import Disagreement, Motion, ProcessNoise, TrajectoryFit
-    from bayes_aero.inference.results import Posterior
+    from bayes_aero.diagnosis.result import Disagreement, Motion, TrajectoryFit
     from bayes_aero.parameter import Prior
 
 START, FITTED = FLOWN
@@ -105,9 +104,8 @@ def outside(flown: TrajectoryFit) -> dict[str, float]:
     """Share of the time over all manoeuvres for which the fit of each output is outside its tolerance."""
     shares = {}
     for output in flown.outputs:
-        listed = [(p.errors[output].within, len(p.time)) for p in flown.paths if p.model == FITTED and p.inside]
-        within = [(share, n) for share, n in listed if share is not None]
-        if within:
+        inside = [(p.errors[output].within, len(p.time)) for p in flown.paths if p.model == FITTED and p.inside]
+        if within := [(share, n) for share, n in inside if share is not None]:
             shares[output] = 1.0 - float(np.average([s for s, _ in within], weights=[n for _, n in within]))
     return shares
 
@@ -120,8 +118,6 @@ def motion_sentences(motion: Motion | None) -> list[str]:
     undecided = [mode.name for mode in motion.modes if not mode.quantities]
     return sentences + ([sentence("rate_undecided", names=undecided)] if undecided else [])
 
-
-# --- Tables: parameters, errors, tolerances, initial states.
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
 MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
@@ -165,7 +161,6 @@ def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
 
 
 def prior_text(prior: Prior | None) -> str:
-    """A prior, and whether it is the default or the card's."""
     if prior is None:
         return "none"
     location, scale, end = (number(x, 4) for x in (prior.location, prior.scale, prior.location + prior.scale))
@@ -206,19 +201,13 @@ def initial_table(flown: TrajectoryFit) -> Table:
     free, by_factor = flown.setting.initial is None, list(zip(rows, factors, strict=True))
     values = [factor * value for (*_, value, _), factor in by_factor]
     columns = [
-        Column([_label(flown, state) for _, state, *_ in rows], page="state"),
+        Column([axis_label(state, flown.units.get(state, "1")) for _, state, *_ in rows], page="state"),
         Column(values, page="fitted" if free else "value", form=4),
     ]
     if free:
         columns.append(Column([f * departure for (*_, departure), f in by_factor], page="departure", form="+.2g"))
     return table("initial_fitted" if free else "initial_fixed", columns, below=[row[0] for row in rows])
 
-
-def _label(flown: TrajectoryFit, channel: str) -> str:
-    return axis_label(channel, flown.units.get(channel, "1"))
-
-
-# --- Modes of motion.
 
 QUANTITIES = {
     "period": "period, s",
@@ -230,7 +219,6 @@ QUANTITIES = {
 
 
 def mode_table(motion: Motion) -> Table:
-    """Period and damping, or times, of every mode of motion."""
     rows: list[tuple[str, str, Estimate | None]] = []
     for mode in motion.modes:  # people read the times of what does not oscillate, of a spiral the times to half, double
         read = ("period", "damping_ratio") if mode.eigenvalue.imag > 0.0 else ("time_constant",)
@@ -248,11 +236,7 @@ def mode_table(motion: Motion) -> Table:
     return table("modes", columns, equations=linear if math.isnan(motion.airspeed) else about, estimates=of)
 
 
-# --- The page.
-
-
 def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
-    """The page; nothing on it but the fit's own numbers."""
     result = context.result
     verdict, *rest = result.sentences
     card, motion = context.card, result.motion
@@ -262,6 +246,16 @@ def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
     of_path = "Flight path", "Errors of sensors, from recorded accelerations and rates"
     of_model = "Trajectories", "A model fitted to trajectories by output error"
     title, subtitle = of_path if flown.of_path else of_model
+    posteriors, about = result.posteriors, WORDS["paragraphs"]["posterior"]
+
+    def predictions() -> Any:
+        of = result.process_noise and result.process_noise.one_step
+        return of and (trajectories.prediction_sentences(of), trajectories.one_step_table(of, flown.units))
+
+    def posterior() -> Any:
+        unsure = parts.warnings(estimates.unfinished(posteriors))
+        return posteriors and (unsure, about, trajectories.posterior_table(posteriors), gallery("pair"))
+
     return Report(
         title=f"{title}: {card.title}",
         subtitle=subtitle,
@@ -276,8 +270,8 @@ def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
             section("parameters", "Parameters", lambda: _parameters(flown, context, gallery)),
             section("frequency", "In the frequency domain", lambda: (bands, gallery("bode"))),
             section("motion", "Modes of motion", lambda: mode_table(motion) if motion and motion.modes else None),
-            section("predictions", "One-step predictions", lambda: _predictions(flown, result.process_noise)),
-            section("posterior", "Posterior", lambda: _posterior(result.posteriors, gallery)),
+            section("predictions", "One-step predictions", predictions),
+            section("posterior", "Posterior", posterior),
             parts.provenance_section(context.source, folded=True),
         ],
     )
@@ -294,19 +288,6 @@ def _parameters(flown: TrajectoryFit, context: parts.PageContext, gallery: Galle
     ]
 
 
-def _predictions(flown: TrajectoryFit, disturbed: ProcessNoise | None) -> Any:
-    if disturbed is None or disturbed.one_step is None:
-        return None
-    of = disturbed.one_step
-    return trajectories.prediction_sentences(of), trajectories.one_step_table(of, flown.units)
-
-
-def _posterior(posteriors: Mapping[str, Posterior], gallery: Gallery) -> Any:
-    doubts = parts.warnings(estimates.unfinished(posteriors))
-    about = WORDS["paragraphs"]["posterior"]
-    return (doubts, about, trajectories.posterior_table(posteriors), gallery("pair")) if posteriors else None
-
-
 def _lead(flown: TrajectoryFit) -> Text:
     """The gain at once: error at first values and of the fit, all manoeuvres together; a warning if it failed."""
     if not flown.converged:
@@ -319,20 +300,20 @@ def _lead(flown: TrajectoryFit) -> Text:
 
 
 def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:
-    shown, remark = parts.first(flown.manoeuvres)
-    what, plots = "Measured outputs, those simulated from the first values and by the fit, and the inputs", []
+    what = "Measured outputs, those simulated from the first values and by the fit, and the inputs"
     flights = flown.fit.flown.flights
-    inputs = [n for n in flown.fit.flown.dynamics.inputs if n in flown.units and n in flights.channels]
-    for order, name in enumerate(shown):
+    known = (n for n in flown.fit.flown.dynamics.inputs if n in flown.units and n in flights.channels)
+    inputs = [n for n in known if n not in flown.outputs]  # states and outputs have panels already
+
+    def drawn(order: int, name: str) -> tuple[np.ndarray, list[Panel]]:
         paths = {label: flown.path(name, model) for model, label in FLOWN.items()}
         panels = output_panels(paths, units)
-        for channel in (n for n in inputs if n not in flown.outputs):  # states and outputs have panels already
-            unit, factor = for_people(flown.units[channel])
-            values = factor * np.asarray(flights.channels[channel], float)[flights.manoeuvre == order]
+        for channel in inputs:
+            values = np.asarray(flights.channels[channel], float)[flights.manoeuvre == order]
             if np.ptp(values) > 0.0:
-                line = Line("measured", COLOURS["measured"], values)
-                panels.append(Panel(symbol(channel), unit, (line,), height=LOW))
-        plots.append(parts.histories(name, f"time-flown-{order}", paths["fitted model"].time, panels, what))
+                panels.append(measured_panel(channel, values, flown.units[channel], height=LOW))
+        return paths["fitted model"].time, panels
+
     free = flown.setting.initial is None
     text = sentence(
         "flown",
@@ -340,4 +321,4 @@ def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:
         initial="measured" if free else "fixed",
         fitted="parameters and initial state" if free else "parameters",
     )
-    return [text + trajectories.tolerance_band(flown.paths), remark, plots]
+    return [text + trajectories.tolerance_band(flown.paths), parts.flights(flown.manoeuvres, "flown", what, drawn)]

@@ -18,7 +18,7 @@ from bayes_aero.report.pages.estimates import label_of, ordered, unit_of
 from bayes_aero.report.pages.parts import DEG, interval
 from bayes_aero.report.pages.trajectories import given_flights
 from bayes_aero.report.phrases import WORDS, from_to, plus_minus, sentence, several, unparted
-from bayes_aero.report.plots import compared_panel
+from bayes_aero.report.plots import Panel, compared_panel
 from bayes_aero.report.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns, table
 from bayes_aero.units import number
 
@@ -124,7 +124,6 @@ def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
 
 
 def fit_table(run: Identification) -> Table:
-    """How well the fitted model follows each coefficient."""
     column = columns_of([(name, run.mle.fit[name], run.mle.lag1[name]) for name in run.mle.fit])
     columns = [
         column(lambda r: r[0], page=""),
@@ -138,7 +137,6 @@ def fit_table(run: Identification) -> Table:
 
 
 def sampler_table(run: Identification, key: str) -> Table:
-    """R-hat and effective sample sizes of one posterior."""
     posterior, divergent = run.posteriors[key], ""
     column = columns_of([(n, posterior.marginals[n]) for n in ordered(posterior.names, run.mle.parameters)])
     if key == "nuts":
@@ -191,9 +189,6 @@ def next_flight_table(run: Identification) -> Table:
     return table("next_flight", columns, dense=True)
 
 
-# --- The page: what stands on it, in which order.
-
-
 def identification_page(
     run: Identification,
     source: Mapping[str, Any],
@@ -238,7 +233,6 @@ def _captions(run: Identification) -> dict[str, str]:
 
 
 def headline(run: Identification) -> str:
-    """The run in one sentence."""
     mle = run.mle
     if not estimates.usable(mle):
         return f"No parameters can be given: {mle.status.value}."
@@ -261,17 +255,17 @@ def headline(run: Identification) -> str:
 
 
 def _fit(run: Identification) -> list[Any]:
-    o, measured, plots = run.observations, np.asarray(run.observations.measured), []
-    shown, more = parts.first(o.names)
-    for order, name in enumerate(shown):
+    o, measured = run.observations, np.asarray(run.observations.measured)
+
+    def drawn(order: int, _: str) -> tuple[np.ndarray, list[Panel]]:
         mine, panels = o.manoeuvre == order, []
         for i, coefficient in enumerate(o.coefficients):
             fitted = {"fitted (maximum likelihood)": run.fitted[mine, i]}
             panels.append(compared_panel(coefficient, "1", measured[mine, i], fitted))
-        panels += parts.context_panels(o.signals, mine, lateral=Axis.LATERAL in run.model.axes)
-        what = "Measured and fitted coefficients, and the manoeuvre flown,"
-        plots.append(parts.histories(name, f"time-fit-{order}", o.time[mine], panels, what))
-    return [WORDS["paragraphs"]["fit"], more, plots, fit_table(run)]
+        return o.time[mine], panels + parts.context_panels(o.signals, mine, lateral=Axis.LATERAL in run.model.axes)
+
+    what = "Measured and fitted coefficients, and the manoeuvre flown,"
+    return [WORDS["paragraphs"]["fit"], parts.flights(o.names, "fit", what, drawn), fit_table(run)]
 
 
 def _stall(run: Identification, gallery: Gallery) -> tuple[Any, ...]:

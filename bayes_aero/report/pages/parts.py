@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from bayes_aero.report.phrases import (
     size_text,
     unit_behind,
 )
-from bayes_aero.report.plots import LOW, MOST, TIME, Over, Panel, linked, measured_panel
+from bayes_aero.report.plots import LOW, MOST, Panel, linked, measured_panel
 from bayes_aero.units import instant, number
 
 if TYPE_CHECKING:
@@ -34,8 +33,6 @@ if TYPE_CHECKING:
     from bayes_aero.parameter import Parameter
 
 DEG = 180.0 / np.pi
-
-# --- Agreement of the sensors: printed first, and first on a page.
 
 SHOWN = 4  # departures in the sentence
 
@@ -66,7 +63,8 @@ def _answer(sensors: Consistency, *, corrects: bool) -> str:
     where, errors = "; ".join(listed), []
     for name, error in (sensors.errors or {}).items():
         joint = joint_text(error.get("joint", {}))
-        errors.append(f"{name} ({error_sizes(error)}{f'; together with {joint}' if joint else ''})")
+        together = f"; estimated together with {joint}: neither holds alone" if joint else ""
+        errors.append(f"{name} ({error_sizes(error)}{together})")
     if sensors.agreement is Agreement.EXPLAINED:
         mend = "it is corrected here" if corrects else "it is not corrected here; diagnose corrects it"
         return sentence("disagree_explained", mend=mend, errors=errors, where=where)
@@ -76,7 +74,6 @@ def _answer(sensors: Consistency, *, corrects: bool) -> str:
 
 
 def joint_text(joint: Mapping[str, float]) -> str:
-    """Other errors with the correlation of the estimates."""
     return several(f"{other} (correlation {correlation:+.2f})" for other, correlation in joint.items())
 
 
@@ -93,14 +90,11 @@ def open_sentences(sensors: Consistency) -> list[str]:
     if joint := [e for e in sensors.open if e.joint]:
         listed = (f"{sizes[e.name]}, together with {joint_text(e.joint)}" for e in joint)
         sentences.append(sentence("together", listed="; ".join(listed)))
-    if alike := [e.name for e in _not_told_apart(sensors)]:
+    # not testable, for others have the same effect; those that were found say so themselves
+    rest = [e for e in sensors.open if not e.asked and not e.joint and e.name not in (sensors.errors or {})]
+    if alike := [e.name for e in rest]:
         sentences.append(sentence("alike", n=len(alike), names=alike))
     return sentences
-
-
-def _not_told_apart(sensors: Consistency) -> list[OpenError]:
-    """Errors that are not testable, for others have the same effect; those that were found say so themselves."""
-    return [e for e in sensors.open if not e.asked and not e.joint and e.name not in (sensors.errors or {})]
 
 
 def _among(error: OpenError) -> str:
@@ -110,13 +104,11 @@ def _among(error: OpenError) -> str:
 
 
 def error_sizes(error: Mapping[str, Any]) -> str:
-    """A sensor error's parameters with their standard errors."""
     listed = error["parameters"].items()
     return ", ".join(f"{name} {size_text(size['mean'], size['sd'], size['unit'])}" for name, size in listed)
 
 
 def warnings(sentences: Iterable[str]) -> list[Text]:
-    """Sentences that are read first."""
     return [Text(one, "warning") for one in sentences]
 
 
@@ -135,11 +127,7 @@ def doubts(
     return [*warnings(failures), *blocks(*answer), *warnings(faults)]
 
 
-# --- The records at a glance, and what the model means by its parameters.
-
-
-@dataclass(frozen=True)
-class PageContext:
+class PageContext(NamedTuple):
     """What a page shows: card, records, provenance, drawn figures by stem, and the result of the job."""
 
     card: Card
@@ -197,7 +185,6 @@ def symbols(card: Card, parameters: Iterable[Parameter], names: Iterable[str], *
 
 
 def not_testable_list(reasons: Mapping[str, str]) -> Fold | None:
-    """Every effect that is not testable, by reason, folded."""
     listed: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         listed.setdefault(reason, []).append(name)
@@ -207,21 +194,12 @@ def not_testable_list(reasons: Mapping[str, str]) -> Fold | None:
 
 
 def terms(table: str) -> Fold | None:
-    """A glossary of `words.toml` behind a line that opens it."""
     return fold("Terms used here", Facts(tuple(WORDS[table].items())))
 
-
-# --- Time histories.
 
 MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
 CONTEXT = ("alpha", "elevator", "stabilizer", "q", "thrust", "airspeed")
 SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
-
-
-def first(names: Sequence[str]) -> tuple[Sequence[str], str]:
-    """The manoeuvres whose time histories are shown, and the sentence that says so where there are more."""
-    more = f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown." if len(names) > MOST_SHOWN else ""
-    return names[:MOST_SHOWN], more
 
 
 def context_panels(channels: Mapping[str, Any], mine: np.ndarray, *, lateral: bool) -> list[Panel]:
@@ -230,25 +208,36 @@ def context_panels(channels: Mapping[str, Any], mine: np.ndarray, *, lateral: bo
     return [measured_panel(name, values, height=LOW) for name, values in known.items() if np.ptp(values) > 0.0]
 
 
-def histories(name: str, key: str, time: np.ndarray, panels: Sequence[Panel], what: str, over: Over = TIME) -> Plot:
+def histories(name: str, key: str, time: np.ndarray, panels: Sequence[Panel], what: str) -> Plot:
     """One manoeuvre's panels, the first of which has the curves of the legend; `what` begins the words on them."""
     lines = panels[0].lines
     legend = [(line.label, line.colour, line.style) for line in lines]
     errors = [lines[k] for first, k in panels[0].shade if not first]
     legend += [(f"error of the {line.label}", line.colour, "area") for line in errors]
     legend += [("tolerance", "#999999", "area")] if any(panel.band is not None for panel in panels) else []
-    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {several(p.label for p in panels)}."
+    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} s: {several(p.label for p in panels)}."
     caption = sentence("thinned", n=len(time)) if len(time) > MOST else ""
-    return Plot(linked(time - time[0], panels, key, over), tuple(dict.fromkeys(legend)), alt, caption, name)
+    return Plot(linked(time - time[0], panels, key), tuple(dict.fromkeys(legend)), alt, caption, name)
 
 
-# --- The stall in numbers.
+def flights(
+    names: Sequence[str], key: str, what: str, drawn: Callable[[int, str], tuple[np.ndarray, Sequence[Panel]]]
+) -> list[Any]:
+    """The `histories` of the first manoeuvres, of which `drawn` gives time and panels, and whether there are more."""
+    shown = [(name, f"time-{key}-{k}", *drawn(k, name)) for k, name in enumerate(names[:MOST_SHOWN])]
+    more = f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown." if len(names) > MOST_SHOWN else ""
+    return [more, *(histories(*each, what) for each in shown)]
+
+
+MOST_PLACES = 6  # digits behind the point
 
 
 def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
-    """Median and 95 % interval."""
-    low, middle, high = (f"{factor * x:.{places}f}" for x in (value.low, value.median, value.high))
-    return f"{middle} ({low} to {high})"
+    """Median and 95 % interval, with more digits where these many show no width."""
+    low, middle, high = (factor * x for x in (value.low, value.median, value.high))
+    while places < MOST_PLACES and low < high and f"{low:.{places}f}" == f"{high:.{places}f}":
+        places += 1
+    return f"{middle:.{places}f} ({low:.{places}f} to {high:.{places}f})"
 
 
 def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[HtmlTable | Text, ...]:
@@ -273,9 +262,6 @@ def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[HtmlTable | Tex
         note=sentence("stall_note", held=", ".join(held), what=what),
     )
     return (table, *warnings(limits))
-
-
-# --- Inputs, versions and the command, which reproduce the run.
 
 
 def provenance_section(

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.page import Facts, HtmlTable, Plot, Report, fold, section
+from bayes_aero.report.page import Facts, HtmlTable, Report, fold, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.phrases import WORDS, amounts, for_people, sentence, several, symbol, unit_behind
 from bayes_aero.report.plots import COLOURS, LOW, Line, Panel
@@ -79,13 +79,10 @@ def points_sentences(asked: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(sentences) if asked["stated"] else (*sentences, sentence("no_envelope"))
 
 
-# --- Flights that would decide undecided tolerances.
-
 MOST = 6  # tests that are named in a sentence
 
 
 def further_table(further: Further) -> Table:
-    """A row for each test point, in the order of flying."""
     columns = point_columns([asdict(p) for p in further.points])
     for k, test in ((k, test) for k, test in enumerate(further.tests) if test.decidable):
         head, expected = _label(test).replace(" of ", "\n", 1), [p.expected[k] for p in further.points]
@@ -94,7 +91,6 @@ def further_table(further: Further) -> Table:
 
 
 def further_sentences(further: Further | None) -> tuple[str, ...]:
-    """What to fly, and which tests no flight decides."""
     if further is None:
         return ()
     if further.why_not:
@@ -138,7 +134,6 @@ def chance_text(chance: Chance | None) -> str:
 
 
 def verdict_table(q: Qualification) -> Table:
-    """A row for each tolerance."""
     column = columns_of(list(q.tolerances))
 
     def least(kind: str, page: str, terminal: str) -> Column:
@@ -165,12 +160,11 @@ def verdict_table(q: Qualification) -> Table:
 
 
 def test_table(q: Qualification) -> Table:
-    """A row for each manoeuvre and output."""
     rows = list(q.tests)
     column = columns_of(rows)
     away = {o.manoeuvre for o in q.outside if o.motion in ("recorded", "simulated")}
     largest = [t.recorded and "".join(amounts(STANDARD_CHANNELS[t.output].unit, t.recorded.largest)) for t in rows]
-    record = "record beside simulation"
+    record, counting = "record beside simulation", "probability, counting also"
     columns = [
         column(lambda t: t.kind.value, "kind"),
         column(lambda t: t.manoeuvre, "manoeuvre"),
@@ -180,10 +174,7 @@ def test_table(q: Qualification) -> Table:
         Column(largest, "", "largest", group=record),
         column(lambda t: t.recorded and t.recorded.largest, "record_largest"),
         column(lambda t: t.recorded and t.recorded.within, "record_within", "time inside", form=".0%", group=record),
-        *[
-            column(lambda t, n=n: chance_text(t.chances.get(n)), "", n, group="probability, counting also")
-            for n in COUNTED
-        ],
+        *(column(lambda t, n=n: chance_text(t.chances.get(n)), "", n, group=counting) for n in COUNTED),
         *[column(lambda t, n=n: t.chances[n].value if n in t.chances else None, f"probability_{n}") for n in COUNTED],
         column(lambda t: t.chance.value, "probability"),
         column(lambda t: t.chance.error, "standard_error"),
@@ -224,13 +215,10 @@ def sentences(q: Qualification) -> tuple[str, ...]:
 
 
 def region_sentences(q: Qualification) -> list[str]:
-    """Where manoeuvres leave the flown region."""
     texts = [sentence("outside_region", o=o, excess=_excess(o)) for o in q.outside]
     texts = texts or [sentence("inside_region", channels=q.channels)]
     return texts + ([sentence("region_unjudged", channels=q.unjudged)] if q.unjudged else [])
 
-
-# --- The page that an evaluator signs or refuses.
 
 BLANK = "\u00a0" * 30
 FLIGHTS, ORIGIN = "#56B4E9", "Origin of the tolerances"
@@ -248,11 +236,13 @@ def qualification_page(q: Qualification, card: Card, source: Mapping[str, Any]) 
     read = ("Read:", words["read"], "Not read, or not of the rule:", words["unread"])
     what = further_table(further) if further and further.points else None
 
-    def strips() -> list[Any]:
-        following, flown = ([s for s in q.strips if (s.kind.name == "NEXT") is ahead] for ahead in (True, False))
-        shown, hidden = ([_strip(s, q) for s in of[: parts.MOST_SHOWN]] for of in (flown, following))
-        more = parts.first([s.manoeuvre for s in flown])[1]
-        return [WORDS["paragraphs"]["strips"], more, shown, fold("The same manoeuvres on the next flight", hidden)]
+    about, same = WORDS["paragraphs"]["strips"], "The same manoeuvres on the next flight"
+
+    def strips(*kinds: str) -> list[Any]:
+        shown = [s for s in q.strips if s.kind.name in kinds]
+        names = [f"{s.manoeuvre}, {SHOWN[s.kind.name]}" for s in shown]
+        what = "Simulation with its tolerance, record and central 95 % of flights"
+        return parts.flights(names, kinds[0].lower(), what, lambda k, _: (shown[k].time, _strip(shown[k], q)))
 
     return Report(
         title=f"Qualification: {card.title}",
@@ -261,7 +251,7 @@ def qualification_page(q: Qualification, card: Card, source: Mapping[str, Any]) 
         lead=[parts.doubts(q.consistency, q.health), verdict_table(q), list(sentences(q)), signature],
         sections=[
             section("further", "What would decide the rest", lambda: (list(further_sentences(further)), what)),
-            section("strips", "Strips", strips),
+            section("strips", "Strips", lambda: (about, strips("AGAIN", "TEST"), fold(same, strips("NEXT")[1:]))),
             section("tests", "Every test", lambda: test_table(q)),
             section("region", "Extrapolation", lambda: region_sentences(q)),
             section("counted", "What is counted", lambda: counted),
@@ -271,7 +261,7 @@ def qualification_page(q: Qualification, card: Card, source: Mapping[str, Any]) 
     )
 
 
-def _strip(strip: Strip, q: Qualification) -> Plot:
+def _strip(strip: Strip, q: Qualification) -> list[Panel]:
     ahead, panels = strip.kind.name == "NEXT", []
     record = "record of the manoeuvre" if ahead else "record"
     for output, (tolerance, _) in q.tolerances.items():
@@ -283,6 +273,4 @@ def _strip(strip: Strip, q: Qualification) -> Plot:
             Line("95 % of flights", FLIGHTS, factor * strip.high[output], width=0.6),
         )
         panels.append(Panel(symbol(output), unit, lines, shade=((2, 3),), band=factor * tolerance, height=LOW))
-    what = "Simulation with its tolerance, record and central 95 % of flights"
-    name = f"{strip.manoeuvre}, {SHOWN[strip.kind.name]}"
-    return parts.histories(name, f"time-{strip.kind.name.lower()}-{strip.manoeuvre}", strip.time, panels, what)
+    return panels

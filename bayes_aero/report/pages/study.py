@@ -45,7 +45,6 @@ class StudyContext:
 
 
 def study_page(context: StudyContext) -> Report:
-    """The page of a study, from its tables."""
     estimated = estimates(context.units, context.results)
     return Report(
         title=f"Study: {context.title}",
@@ -104,9 +103,8 @@ def _lead(estimated: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
         save(across(estimated), path)
     except NotDrawn:
         return ()
-    return (
-        picture(path, f"Every unit's estimate, by its number in the table below; {MOST_PANELS} parameters at most."),
-    )
+    about = f"Every unit's estimate, by its number in the table below; {MOST_PANELS} parameters at most."
+    return (picture(path, about),)
 
 
 def _across(estimated: list[AcrossUnits]) -> tuple[Any, ...]:
@@ -157,7 +155,7 @@ METHODS = {
     "trajectories": ("trajectories", "after"),
 }
 """How a method is named and coloured; the first two of a parameter are drawn."""
-DRAWN, MOST_PANELS, MOST_BARS = 2, 18, 60
+DRAWN, MOST_PANELS = 2, 18
 
 
 class AcrossUnits(NamedTuple):
@@ -200,7 +198,6 @@ def panels_of(estimated: list[AcrossUnits]) -> Iterator[tuple[str, list[AcrossUn
 
 @housed
 def across(estimated: list[AcrossUnits]) -> Figure:
-    """A panel for each parameter: estimate and 95 % interval of every unit, by its number."""
     groups = [group for group in panels_of(estimated) if group[1]][:MOST_PANELS]
     if not groups:
         raise NotDrawn("no unit has an estimate")
@@ -213,10 +210,8 @@ def across(estimated: list[AcrossUnits]) -> Figure:
             (name, colour), value = METHODS[e.method], factor * e.rows["value"]
             ends = np.abs([value - factor * e.rows["low95"], factor * e.rows["high95"] - value])
             x, ends = e.rows["number"] + (k - 0.5 * (len(group) - 1)) * 0.25, np.where(np.isfinite(ends), ends, 0.0)
-            look: dict[str, Any] = (
-                {"ms": 3.5, "elinewidth": 1.1} if last <= MOST_BARS else {"ms": 2.0, "elinewidth": 0.4}
-            )
-            labels.setdefault(name, ax.errorbar(x, value, ends, fmt="os"[k], color=COLOURS[colour], **look))
+            look: dict[str, Any] = {"fmt": "os"[k], "color": COLOURS[colour], "ms": 3.0, "elinewidth": 0.8}
+            labels.setdefault(name, ax.errorbar(x, value, ends, **look))
         ax.set(title=label, xlim=(0.4, last + 0.6), ylabel=bracket(unit), xlabel="unit")
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.ticklabel_format(axis="y", useOffset=False)

@@ -27,7 +27,7 @@ from bayes_aero.report.phrases import (
     size_text,
     symbol,
 )
-from bayes_aero.report.plots import MODELS, output_panels
+from bayes_aero.report.plots import MODELS, Panel, output_panels
 from bayes_aero.report.table import BeforeAfter, Column, Estimate, Table, in_brackets, parameter_columns, table
 from bayes_aero.units import number
 
@@ -58,7 +58,6 @@ def simulation_gain(flown: Trajectories) -> str:
 
 
 def trajectory_sentences(flown: Trajectories) -> list[str]:
-    """How the fits ended, what was held, and what the tests of a lag and of causes gave."""
     sentences = [*status_sentences(flown), *lag_sentences(flown), *cause_sentences(flown)]
     sentences += [sentence("held_alone", name=name, held=held) for name, held in flown.held.items() if held]
     if flown.extended.held:
@@ -67,12 +66,6 @@ def trajectory_sentences(flown: Trajectories) -> list[str]:
     if lost := [p.manoeuvre for p in unseen if not p.inside]:
         sentences.append(sentence("leaves_envelope", names=lost))
     return sentences
-
-
-def tolerance_origin(bands: Mapping[str, float]) -> str:
-    """The origin of the tolerances; `bands` by output, SI."""
-    of_rule = all(name in TOLERANCES and value == TOLERANCES[name].value for name, value in bands.items())
-    return sentence("tolerances_of_rule" if of_rule else "tolerances_of_card")
 
 
 def lag_sentences(flown: Trajectories) -> list[str]:
@@ -94,7 +87,6 @@ def lag_sentences(flown: Trajectories) -> list[str]:
 
 
 def cause_sentences(flown: Trajectories) -> list[str]:
-    """Which confirmed causes the hold-out trajectories need, and by how much."""
     missed, kept, harmed, sentences = flown.asked.missed, flown.asked.kept, flown.asked.harmed, []
     for e, worse in harmed.items():
         gains = [f"{output} by {nats_text(-gain, se)}" for output, (gain, se) in worse.items()]
@@ -111,7 +103,6 @@ def cause_sentences(flown: Trajectories) -> list[str]:
 
 
 def status_sentences(flown: Trajectories) -> list[str]:
-    """How the fits of both models ended, where one did not converge."""
     sentences = []
     for who, fit in (("The card's model", flown.card), ("The extended model", flown.extended)):
         if fit.status.name != "CONVERGED":
@@ -122,12 +113,6 @@ def status_sentences(flown: Trajectories) -> list[str]:
     return sentences
 
 
-# --- Errors and time inside the tolerances, by flight and output.
-
-SPLIT_NAMES = {"fitted": "fitted", "hold_out": "hold-out"}
-"""What people read, by the split of a simulated path."""
-
-
 def error_table(
     key: str,
     flights: Mapping[str, Sequence[SimulatedManoeuvre | None]],
@@ -136,10 +121,7 @@ def error_table(
     fitted: Sequence[str] | None = None,
     **texts: str,
 ) -> Table:
-    """A row for each output of each flight: errors of its paths, as `heads` name them; Theil's parts of the last.
-
-    On a page also the time inside tolerances, where there are any, and how probably the whole flight is inside.
-    """
+    """A row for each output of each flight: errors of its paths, as `heads` name them; Theil's parts of the last."""
     each, rows = len(heads) > 1, []
     for flight, paths in flights.items():
         for n in next(path for path in paths if path is not None).errors:
@@ -177,12 +159,12 @@ def hold_out_table(flown: Trajectories, *, brief: bool = False) -> Table:
     every = dict.fromkeys((p.split, p.manoeuvre) for p in sorted(flown.paths, key=lambda p: p.split))
     unseen = [flight for flight in every if flight[0] == "hold_out"]
     shown = unseen if brief and unseen else list(every)
-    flights = {f"{m}, {SPLIT_NAMES[split]}": [flown.path(m, model, split) for model in MODELS] for split, m in shown}
+    flights = {}
+    for split, m in shown:
+        flights[f"{m}, {split.replace('_', '-')}"] = [flown.path(m, model, split) for model in MODELS]
     status = "".join(f" {text}" for text in status_sentences(flown))
     return error_table("hold_out_errors", flights, SI, ("before", "after"), status=status)
 
-
-# --- On a page: errors before and after, and time histories with tolerance bands.
 
 SPLITS = {
     "hold_out": "Hold-out: simulated from the measured initial state with the fit to the other flights",
@@ -192,17 +174,19 @@ SPLITS = {
 
 def trajectories(flown: Trajectories, card: Card) -> list[Any]:
     """Tables, then the hold-out flights, then the fitted ones, folded."""
-    origin = tolerance_origin({name: t.value for name, t in card.tolerances.items()})
+    of_rule = all(name in TOLERANCES and t.value == TOLERANCES[name].value for name, t in card.tolerances.items())
+    origin = sentence("tolerances_of_rule" if of_rule else "tolerances_of_card")
     units, plots = {name: SI[name] for name in flown.outputs}, {}
     for split, about in SPLITS.items():
-        shown, remark = parts.first(list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split)))
-        plots[split] = [remark]
-        for order, name in enumerate(shown):
+
+        def drawn(_: int, name: str, split: str = split) -> tuple[np.ndarray, list[Panel]]:
             paths = {label: p for key, label in MODELS.items() if (p := flown.path(name, key, split)) is not None}
-            time, what = next(iter(paths.values())).time, f"{about}: measured and simulated outputs"
-            plot = parts.histories(name, f"time-{split}-{order}", time, output_panels(paths, units), what)
-            title = f"{name}, {SPLIT_NAMES[split]}"
-            plots[split].append(plot._replace(caption=f"{about}. {plot.caption}", title=title))
+            return next(iter(paths.values())).time, output_panels(paths, units)
+
+        names = list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
+        remark, *made = parts.flights(names, split, f"{about}: measured and simulated outputs", drawn)
+        texts = [{"caption": f"{about}. {p.caption}", "title": f"{p.title}, {split.replace('_', '-')}"} for p in made]
+        plots[split] = [remark, *(p._replace(**text) for p, text in zip(made, texts, strict=True))]
     return [
         f"{WORDS['paragraphs']['trajectories']} {origin}",
         hold_out_table(flown),
@@ -217,15 +201,13 @@ def given_flights(paths: Sequence[SimulatedManoeuvre], card: Card) -> list[Any]:
     if not paths:
         return []
     units = {name: SI[name] for name in paths[0].errors}
-    what, plots = "Measured outputs, and those simulated with the fitted coefficients,", []
-    for order, path in enumerate(paths[: parts.MOST_SHOWN]):
-        panels = output_panels({"simulation": path}, units)
-        plots.append(parts.histories(path.manoeuvre, f"time-given-{order}", path.time, panels, what))
+    names, what = [p.manoeuvre for p in paths], "Measured outputs, and those simulated with the fitted coefficients,"
+    simulated = [(p.time, output_panels({"simulation": p}, units)) for p in paths[: parts.MOST_SHOWN]]
+    plots = parts.flights(names, "given", what, lambda k, _: simulated[k])
     left = [f"The simulation of {path.manoeuvre} leaves the flight envelope." for path in paths if not path.inside]
-    remark = parts.first([path.manoeuvre for path in paths])[1]
     text = WORDS["paragraphs"]["given_flights"] + tolerance_band(paths)
     errors = error_table("given", {path.manoeuvre: [path] for path in paths}, SI, ("simulation",))
-    return [text, parts.warnings(left), remark, plots, errors, sources(card, units)]
+    return [text, parts.warnings(left), plots, errors, sources(card, units)]
 
 
 def tolerance_band(paths: Sequence[SimulatedManoeuvre]) -> str:
@@ -283,7 +265,6 @@ def settled_sentences(
 
 
 def process_noise_sentences(disturbed: ProcessNoise, flown: TrajectoryFit) -> list[str]:
-    """Changes by process noise, and the assumption of its standard errors."""
     if not disturbed.converged:
         return [f"The fit with process noise is not usable: {disturbed.status}."]
     predicted = [] if disturbed.one_step is None else prediction_sentences(disturbed.one_step)
@@ -318,7 +299,6 @@ def prediction_sentences(predictions: OneStep) -> list[str]:
 
 
 def _estimated_gusts(disturbed: ProcessNoise) -> list[str]:
-    """Intensities of the gusts and of buffet, and scale lengths of those with an intensity."""
     estimated, undetected, gusts = [], [], disturbed.gusts
     for name, word in ((n, word) for n, word in GUSTS.items() if n in gusts):
         (intensity, sd), (length, length_sd) = gusts[name], gusts[f"{name}_length"]
@@ -377,7 +357,6 @@ def _per_cent(e: Estimate) -> str:
 
 
 def process_noise_table(disturbed: ProcessNoise, flown: TrajectoryFit) -> Table:
-    """Every parameter by output error and with process noise."""
     fit = flown.fit
     every = zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True)
     rows = [(p, Estimate(float(x), float(sd))) for p, x, sd in every if p.name in disturbed.estimates]

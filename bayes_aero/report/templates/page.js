@@ -12,7 +12,7 @@
     return new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
   }
 
-  function panel(item, axis, shared, cross, last) {
+  function panel(item, shared, cross, last) {
     const box = new Bokeh.BoxZoomTool({dimensions: "width"});
     const pan = new Bokeh.PanTool({dimensions: "width"});
     const wheel = new Bokeh.WheelZoomTool({dimensions: "width", modifiers: {ctrl: true}});
@@ -20,7 +20,7 @@
     const [start, end] = item.scale;
     const f = Bokeh.Plotting.figure({
       height: item.height, sizing_mode: "stretch_width", x_range: shared, y_range: new Bokeh.Range1d({start, end}),
-      y_axis_label: item.label, x_axis_label: last ? axis.label : null, tools: [box, pan, wheel, ...others],
+      y_axis_label: item.label, x_axis_label: last ? "time from start of record [s]" : null, tools: [box, pan, wheel, ...others],
       background_fill_color: "#ffffff", border_fill_color: "#ffffff", outline_line_color: "#bbbbbb",
       min_border_left: 66, min_border_right: 8, min_border_top: 6, min_border_bottom: 6, tags: [item.printed],
     });
@@ -35,7 +35,7 @@
       {source, line_color: line.colour, line_dash: line.style, line_width: line.width}));
     const values = item.lines.map((line, i) => [line.label, `@y${i}{0.[0000]} ${line.unit}`.trim()]);
     f.add_tools(new Bokeh.HoverTool({
-      renderers: [lines[0]], mode: "vline", tooltips: [[axis.name, axis.tip], ...values], line_policy: "nearest"}));
+      renderers: [lines[0]], mode: "vline", tooltips: [["time", "@t{0.00} s"], ...values], line_policy: "nearest"}));
     for (const side of [...f.below, ...f.left]) side.setv(TEXT);
     for (const grid of f.center) grid.setv({grid_line_color: "#dddddd"});
     f.below[0].visible = last;
@@ -65,14 +65,14 @@
   }
 
   async function draw(place) {
-    const {name, axis, panels} = items[Number(place.dataset.plot)];
-    const [start, end] = axis.span;
+    const {name, span, panels} = items[Number(place.dataset.plot)];
+    const [start, end] = span;
     const shared = new Bokeh.Range1d({start, end, bounds: "auto", name});
     const look = {line_dash: "dotted", line_color: "#777777", line_width: 1};
     const cross = new Bokeh.Span({dimension: "height", ...look});
-    const made = panels.map((item, i) => panel(item, axis, shared, cross, i === panels.length - 1));
+    const made = panels.map((item, i) => panel(item, shared, cross, i === panels.length - 1));
     for (const edge of ["start", "end"]) {  // a zoom to an end of the record moves one of them only
-      shared.connect(shared.properties[edge].change, () => fit(shared, axis.span, made));
+      shared.connect(shared.properties[edge].change, () => fit(shared, span, made));
     }
     const options = {sizing_mode: "stretch_width", toolbar_location: "above", merge_tools: true};
     const grid = Bokeh.Plotting.gridplot(made.map(({f}) => [f]), options);
