@@ -81,7 +81,7 @@ def diagnose(
     options: DiagnoseOptions,
     records: Annotated[list[Path] | None, typer.Argument(help=f"{terminal.RECORDS}; none: two simulated.")] = None,
     out: terminal.OutOption = Path("diagnosis"),
-    write_effect: Annotated[Path | None, typer.Option(help="Effect file (.py) of the terms.", metavar="FILE")] = None,
+    write_effect: Annotated[Path | None, typer.Option(help="File (.py) for terms as effects.", metavar="FILE")] = None,
     json: terminal.JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: size, uncertainty, rivals, and the gain on hold-out data.
@@ -313,7 +313,9 @@ def run(
     study: Annotated[Path, typer.Argument(help="A study (.toml).")],
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: STUDY_results, here.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the units and their state; do nothing.")] = False,
-    trust_effects: Annotated[bool, typer.Option("--trust-effects", help="Run its effect files; read them.")] = False,
+    trust_effects: Annotated[
+        bool, typer.Option("--trust-effects", help="Run its effect files (Python); read them first.")
+    ] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Number of processes on this machine.")] = None,
     memory: Annotated[str | None, typer.Option(help="For each worker, e.g. 4GiB; default: an equal share.")] = None,
     scheduler: Annotated[str | None, typer.Option(help="A Dask cluster, e.g. tcp://node1:8786.")] = None,

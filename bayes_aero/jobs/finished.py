@@ -145,7 +145,9 @@ def read_identified(given: str, card: str | None = None) -> tuple[Identified, Fi
     values = {name: change.start for name, change in stated.changes.items() if change.start is not None}
     values |= dict(model.fixed)
     if missing := [p.name for p in model.parameters if p.name not in values]:
-        raise InputError(f"card {stated.name} states no value of {', '.join(missing)}; state start under [parameters]")
+        raise InputError(
+            f"card {stated.name} states no value of {', '.join(missing)}; give a result, or state start for each"
+        )
     source = f"Values: as card {stated.name} states them ({stated.source}); sha256 {stated.sha256[:16]}."
     return Identified(stated.name, stated.title, model, stated.aircraft, values, (source,)), None
 
