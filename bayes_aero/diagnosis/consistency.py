@@ -384,11 +384,8 @@ def with_several_instead(state: SelectionState) -> SelectionState:
             if len(together) < 2 or share < state.settings.imitated or set(together) & set(others):
                 continue
             wider = refitted(moved(state, neutral, (*others, *together)))
-            choice = (len(together) - 1) * math.log(len(state.full.candidates))
-            if (
-                nats(state.best.deviance - wider.best.deviance, state.variance_inflation) - choice
-                > state.settings.decisive
-            ):
+            gained = nats(state.best.deviance - wider.best.deviance, state.variance_inflation)
+            if gained - (len(together) - 1) * math.log(len(state.full.candidates)) > state.settings.decisive:
                 return with_several_instead(wider)
     return state
 

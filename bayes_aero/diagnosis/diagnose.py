@@ -72,21 +72,18 @@ def diagnose(
     else:
         candidates = causes_of(searched, {}, quiet)
     # Offsets between manoeuvres are in the model beside the causes.
-    hardly = stand_ins(candidates, stages, [structure for structure in searched.unknown if not structure.offsets])
+    hardly = stand_ins(candidates, stages, {u.coefficient for u in searched.unknown if not u.offsets})
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
     unknown = (*searched.unknown, *structure_of(searched, (*unnamed, *beyond)))
     kept = tuple(name for name in kept_of[state.responses.stage] if name not in {c.name for c in beyond})
     causes, beyond = without_conditional(causes, beyond)
     pairs = [selection.cancelling(x, [c.name for c in causes if c.stage == stage]) for stage, x in stages.items()]
+    of_sensors = searched.sensors.minor if searched.sensors else ()
     same: dict[str, Any] = {n: getattr(searched, n) for n in ("noise", "not_testable", "sensors", "changes", "terms")}
     return result.Diagnosis(
         verdict=result.Verdict.UNDECIDED,
         causes=causes,
-        minor=(
-            *(searched.sensors.minor if searched.sensors else ()),
-            *searched.model.minor,
-            *(c.name for c in unnamed),
-        ),
+        minor=(*of_sensors, *searched.model.minor, *(c.name for c in unnamed)),
         unknown=unknown,
         aerodynamics=searched.model,
         split=selection.split_name(state),
@@ -246,12 +243,8 @@ def rivals_of(
     out = {*worse, *(n for larger in extension.larger for n in larger.implausible)}
     for standing in screen(state, without=name).candidate_scores:
         able = standing.score > state.settings.least_rival_score and not selection.mixes_noise(state, standing)
-        able = (
-            able
-            and standing.effect not in out
-            and not selection.implausible_candidate(effects[standing.effect], standing)
-        )
-        if standing.effect == name or able:
+        able = able and not selection.implausible_candidate(effects[standing.effect], standing)
+        if standing.effect == name or (able and standing.effect not in out):
             best.setdefault(standing.effect, standing)
     if name not in best:
         return 1.0, ()
@@ -346,11 +339,8 @@ def rival_gains(
             effect = next(e for e in other.full.candidates if e.name == rival)
             values = dict(zip(other.full.model.names, map(float, other.theta), strict=True))
             fitted = {p.name: result.Size(values[p.name], 0.0, p.unit) for p in effect.parameters if p.name in values}
-            gains[rival] = (
-                (-math.inf, 0.0)
-                if selection.implausible(effect, fitted)
-                else selection.LeftOut.refitted(other).gain(reference)
-            )
+            too_large = selection.implausible(effect, fitted)
+            gains[rival] = (-math.inf, 0.0) if too_large else selection.LeftOut.refitted(other).gain(reference)
     return gains
 
 
@@ -378,23 +368,16 @@ def attributed(
         few = 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely)
         return few and c.name not in stand_ins
 
-    rest = [c for c in causes if not c.implausible]
-    return (
-        tuple(c for c in rest if named(c)),
-        tuple(c for c in causes if c.implausible),
-        tuple(c for c in rest if not named(c)),
-    )
+    beyond, rest = tuple(c for c in causes if c.implausible), [c for c in causes if not c.implausible]
+    return tuple(filter(named, rest)), beyond, tuple(c for c in rest if not named(c))
 
 
 def stand_ins(
-    causes: Sequence[result.Cause],
-    extensions: Mapping[str, selection.Extension],
-    unknown: Sequence[result.UnexplainedStructure],
+    causes: Sequence[result.Cause], extensions: Mapping[str, selection.Extension], unnamed: Collection[str]
 ) -> tuple[str, ...]:
-    """Causes that the record hardly excites, where the output that they move most has structure without a name."""
+    """Causes that the record hardly excites, where the output that they move most has structure `unnamed`."""
     # Small errors of the model change their estimates strongly, and there the model is shown to be wrong.
-    left = {u.coefficient for u in unknown}
-    return tuple(c.name for c in causes if c.hardly_excited and _output(extensions[c.stage], c.name) in left)
+    return tuple(c.name for c in causes if c.hardly_excited and _output(extensions[c.stage], c.name) in unnamed)
 
 
 def _output(extension: selection.Extension, name: str, step: CandidateScore | None = None) -> str:
@@ -585,11 +568,7 @@ def with_holdout_scores(view: result.View) -> result.View:
 
 
 def compared(
-    before: selection.LeftOut,
-    after: selection.LeftOut,
-    state: SelectionState,
-    measured: Float[np.ndarray, "m c"],
-    manoeuvre: int,
+    before: selection.LeftOut, after: selection.LeftOut, state: SelectionState, measured: np.ndarray, manoeuvre: int
 ) -> dict[str, result.Compared]:
     """`after` against `before` on one manoeuvre, by coefficient; its blocks' order and colour are kept."""
     here = (state.responses.manoeuvre == manoeuvre) & before.inside

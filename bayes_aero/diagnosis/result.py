@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
@@ -555,8 +554,6 @@ class ProcessNoise:
 
 # --- Modes of motion of a fitted model.
 
-HALF = math.log(2.0)
-
 
 @dataclass(frozen=True)
 class FlownMode:
@@ -773,12 +770,9 @@ class NoiseReport:
     @property
     def labels(self) -> tuple[str, ...]:
         """Which of colored, buffet, outliers are present."""
-        present = {
-            "colored": bool(self.coloured),
-            "buffet": max(self.noise_growth.values()) > 1.5,
-            "outliers": sum(self.outliers.values()) > 0,
-        }
-        return tuple(name for name, there in present.items() if there)
+        buffet, outliers = max(self.noise_growth.values()) > 1.5, sum(self.outliers.values()) > 0
+        present = (("colored", self.coloured), ("buffet", buffet), ("outliers", outliers))
+        return tuple(name for name, there in present if there)
 
 
 @dataclass(frozen=True)

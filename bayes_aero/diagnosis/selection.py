@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations, product
 from typing import Any, NamedTuple
 
@@ -82,8 +83,7 @@ class Extension:
 
 
 def plausible(
-    select: Callable[[tuple[str, ...]], Extension],
-    out: Callable[[Extension], Iterable[str]] = lambda extension: extension.implausible,
+    select: Callable[[tuple[str, ...]], Extension], out: Callable[[Extension], Iterable[str]] = lambda x: x.implausible
 ) -> Extension:
     """What `select` finds without what is barred, made again without what is larger than aircraft have, and `out`."""
     # That explains nothing, and what was selected beside it is judged without it.
@@ -102,12 +102,7 @@ def plausible_selection(state: SelectionState, **options: Any) -> Extension:
 
 
 def selected(
-    state: SelectionState,
-    *,
-    seed: int = 0,
-    most: int | None = None,
-    progress: Progress = quiet,
-    barred: Sequence[str] = (),
+    state: SelectionState, *, seed: int, most: int | None = None, progress: Progress = quiet, barred: Sequence[str] = ()
 ) -> Extension:
     """Add at most `most` effects (default: the settings') that are not `barred`; p-values are family-wise."""
     most = state.settings.max_effects if most is None else most
@@ -790,9 +785,5 @@ def backward_elimination(
 
 
 def confirmation(state: SelectionState) -> Confirmation:
-    return backward_elimination(
-        state.active,
-        lambda effects: LeftOut.first_order(state, effects),
-        lambda effects: LeftOut.refitted(truncated(state, effects)),
-        state.settings,
-    )
+    near = partial(LeftOut.first_order, state)
+    return backward_elimination(state.active, near, lambda e: LeftOut.refitted(truncated(state, e)), state.settings)

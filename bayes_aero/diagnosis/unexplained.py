@@ -58,8 +58,6 @@ from bayes_aero.progress import Progress
 
 
 class Left(NamedTuple):
-    """What the catalogue does not explain."""
-
     unknown: tuple[UnexplainedStructure, ...] = ()
     replaced: tuple[str, ...] = ()  # named causes that were only its proxies
     changes: tuple[ParameterChange, ...] = ()
@@ -320,12 +318,9 @@ def leader(
     rest = [c for c in columns if c.component.label not in labels]
     trial = state.with_components([c.component for c in rest], [c.component for c in chosen])
     fit = trial.best
-    projected, n = (
-        screening.PartialledRegression(trial, fit, trial.component_columns),
-        float(trial.products.count.sum()),
-    )
+    projected = screening.PartialledRegression(trial, fit, trial.component_columns)
     place, bread = np.array([p[0] for p in projected.place]), np.array([b[0, 0] for b in projected.bread])
-    right = projected.right(trial.left())[place]
+    right, n = projected.right(trial.left())[place], float(trial.products.count.sum())
     gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
     order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
     best = trial.fit(trial.wider(trial.component_columns[order[0]]))
@@ -559,9 +554,9 @@ class _Model:
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     """Terms for all structure that is `left`; periods have none."""
-    instead = contest(extension, left)
-    if instead.terms or instead.replaced:
-        return instead
+    forms = contest(extension, left)
+    if forms.terms or forms.replaced:
+        return forms._replace(unknown=described(left.unknown, forms))
     by_coefficient: dict[str, list[Component]] = {}
     for function in left.functions:
         if not function.periodic:
@@ -572,7 +567,8 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
 
     bare = extension.state.without([name for name in left.replaced if name in extension.state.active])
     causes = [name for name in extension.causes if name not in left.replaced]
-    return _with_terms(instead, bare, causes, sought)[0]
+    forms, _ = _with_terms(forms, bare, causes, sought)
+    return forms._replace(unknown=described(left.unknown, forms))
 
 
 def flown_forms(extension: Extension, *, seed: int, progress: Progress = quiet) -> Forms:

@@ -440,7 +440,7 @@ def test_what_stands_in_for_structure_tells_where_and_how_much(diagnosed):
     extensions = {found.stage: d.aerodynamics}
     for share, output, taken in ((0.01, "Cm", True), (0.01, "CL", False), (0.03, "Cm", False)):
         one = replace(found, own_share=share)
-        names = decided.stand_ins([one], extensions, [UnexplainedStructure(output, "phi", 0.5, 0.01)])
+        names = decided.stand_ins([one], extensions, {output})
         assert names == ((found.name,) if taken else ())
         assert decided.attributed([one], stand_ins=names) == (((), (), (one,)) if taken else ((one,), (), ()))
     # The hidden curvature of the pitching moment, as if five others explained it as well.

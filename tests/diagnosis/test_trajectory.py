@@ -250,7 +250,7 @@ def asked(card, hidden, seed):
     full = candidate_model(model, flights)
     plain, effect = hold_out.CandidateFit("extended", fit), lag_of(full)
     wider = replace(model.extended(), fixed=())
-    lagged, lag = hold_out.with_lag(wider, effect, plain, noise, flights)
+    lagged, lag = hold_out.with_lag(wider, effect, plain, noise)
     if not lag.gains:
         return lag, lagged
     silent = {c.name: {0: {}, 1: {}} for c in (plain, lagged)}
