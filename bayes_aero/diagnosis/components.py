@@ -194,7 +194,6 @@ def _smooth(x: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, "m w"]:
 
 
 def periodic_components(state: SelectionState) -> list[Component]:
-    """A sinusoid of each period and free phase in each manoeuvre, in each coefficient."""
     elapsed = np.asarray(state.responses.block(state.responses.flights.channels["elapsed"]))
     manoeuvre, seconds, components = state.responses.manoeuvre, state.responses.seconds, []
     longest = np.bincount(manoeuvre).min() * seconds  # of which every manoeuvre shows a whole one
@@ -288,7 +287,6 @@ class Trial:
 
     @cached_property
     def share(self) -> float:
-        """Share of a coefficient's remaining variance that it takes away, at best over the coefficients."""
         return float(np.max(1.0 - self.fit.variance / self.state.best.variance))
 
     @cached_property

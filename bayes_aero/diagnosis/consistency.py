@@ -89,7 +89,14 @@ def consistency(
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> Flights:
-    return despiked(as_the_card_states(joined(records, card, PATH_CORE), card))[0]
+    """Without the errors of the record that the card states."""
+    flights = joined(records, card, PATH_CORE)
+    if card.linear is None:
+        model = Model.from_card(card)
+        stated, fixed = [e for e in model.effects if e.stage is Stage.CHANNEL], dict(model.fixed)
+        values = {p.name: fixed.get(p.name, p.start) for e in stated for p in e.parameters}
+        flights = with_corrections(flights, Model.of(stated, axes=tuple(Axis)), values) if stated else flights
+    return despiked(flights)[0]
 
 
 def errors_of_path(known: Extension) -> KnownErrors:
@@ -208,15 +215,6 @@ def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
         return f"{need}; map it, or state what did not move under [constants]"
     short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
     return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""
-
-
-def as_the_card_states(flights: Flights, card: Card) -> Flights:
-    if card.linear is not None:
-        return flights
-    model = Model.from_card(card)
-    stated, fixed = [e for e in model.effects if e.stage is Stage.CHANNEL], dict(model.fixed)
-    values = {p.name: fixed.get(p.name, p.start) for e in stated for p in e.parameters}
-    return flights if not stated else with_corrections(flights, Model.of(stated, axes=tuple(Axis)), values)
 
 
 def with_corrections(flights: Flights, model: Model, values: Mapping[str, Any]) -> Flights:
@@ -462,7 +460,6 @@ class _RecordedPath:
         return residuals
 
     def local(self, x: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r w c"]:
-        """Root mean squares within windows, about a line in each."""
         parts = []
         for part in (x[:, window] for window in self.windows):
             n = part.shape[1]

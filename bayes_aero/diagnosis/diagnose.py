@@ -159,7 +159,6 @@ def _causes_in(
     measured: Mapping[str, result.Gain],
     forms: Mapping[str, tuple[str, float]],
 ) -> list[result.Cause]:
-    """Some causes of one extension."""
     causes, state = list[result.Cause](), extension.state
     if not names:
         return causes
@@ -256,7 +255,6 @@ def rivals_of(
 
 
 def sensors_not_missed(diagnosis: result.Diagnosis, flights: result.Confirmation) -> result.Confirmation:
-    """Errors of sensors that coefficients confirm and held-out flights do not miss."""
     # Coefficients are a regression on recorded channels, whose noise bends it as an error of a sensor may. A simulated
     # flight has no regressors.
     measured = {c.name for c in diagnosis.causes if c.kind == Kind.MEASUREMENT and c.stage == result.COEFFICIENTS}
@@ -292,7 +290,6 @@ def gains_of(
     nuisances = [name for name in extension.minor if name in kept]
 
     def chain(left_out: Callable[[list[str]], selection.LeftOut]) -> tuple[selection.LeftOut, Pairs]:
-        """Hold-out data without any cause, and without and with each."""
         base = before = left_out([])
         pairs, sure = Pairs(), list[str]()
         for number, name in enumerate(causes):
@@ -313,7 +310,6 @@ def gains_of(
     card, gains = aerodynamics.base, {}
 
     def corrected(sensors: Sequence[str]) -> selection.LeftOut:
-        """The card's fit of the coefficients with these corrections of sensors alone."""
         theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
         return selection.LeftOut.refitted(moved(card, theta, ()))
 
@@ -404,7 +400,6 @@ RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces mak
 
 
 def view_of(diagnosis: result.Diagnosis) -> result.DiagnosisView:
-    """What is shown of a diagnosis, whichever way the model met the record."""
     if diagnosis.by_coefficients:
         return coefficient_view(diagnosis)
     units = {p.name: p.unit for p in diagnosis.aerodynamics.state.full.model.free}
@@ -448,7 +443,6 @@ def coefficient_view(diagnosis: result.Diagnosis) -> result.View:
 
 
 def with_stalls(view: result.View) -> result.View:
-    """The same with the stall of the card's model, and of the extended one where there is one."""
     models, stalls = {"card": view.card, "extended": view.extended} if view.changed else {"card": view.card}, {}
     for name, fitted in models.items():  # parameters are drawn from the normal distribution of their estimates
         model, flights = fitted.state.full.model, fitted.state.responses.flights
@@ -493,7 +487,6 @@ LEAST = 1e-3  # of the residual's size, that a deviation counts as at least: a s
 def profiles(
     residual: np.ndarray, channels: Mapping[str, np.ndarray], inflation: float
 ) -> list[result.ResidualProfile]:
-    """How the residual depends on each channel, the clearest first."""
     dependences, bins = [], max(1, min(BINS, len(residual) // 2))  # of two blocks: they have a deviation
     least = max(LEAST * float(np.sqrt(np.mean(residual**2))), 1e-300)
     for name, x in channels.items():

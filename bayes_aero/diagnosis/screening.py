@@ -15,14 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc, ndtr, ndtri, stdtr
 
-from bayes_aero.diagnosis.selection_state import (
-    TINY,
-    DiagnosisSettings,
-    RegressionFit,
-    SelectionState,
-    inverse,
-    partialled,
-)
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings, RegressionFit, SelectionState, inverse, partialled
 from bayes_aero.inference.covariance import (
     ORDER,
     autoregression,
@@ -225,7 +218,7 @@ class PartialledRegression:
         right = self.right(noises)
         diagonal, whole = self.middle.under_each(autocorrelations_of(noises, self.state.folds), wide)
         # Of a single parameter the information cancels.
-        scores = np.abs(right[:, alone]) / np.sqrt(np.maximum(diagonal[:, alone], TINY))
+        scores = np.abs(right[:, alone]) / np.sqrt(np.maximum(diagonal[:, alone], 1e-300))
         best = np.max(scores, axis=1, initial=0.0)
         for j, meats in zip(wide, whole, strict=True):
             bread, own = self.bread[j], right[:, self.place[j]]

@@ -402,7 +402,7 @@ def _with_lag(
     progress: Progress,
 ) -> Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
-    lag, base, settings = selection_state.lag_of(whole), extension.base, whole.settings
+    lag, base, settings = whole.lag, extension.base, whole.settings
     if lag is None or not extension.state.active:
         return None
     progress("lag of the separation point", 0.0)

@@ -23,15 +23,7 @@ from jaxtyping import Float
 from bayes_aero.diagnosis import result
 from bayes_aero.diagnosis.consistency import sensor_noise
 from bayes_aero.diagnosis.selection import Extension, LeftOut, backward_elimination, large, normal_draws
-from bayes_aero.diagnosis.selection_state import (
-    DEFAULT,
-    CandidateModel,
-    DiagnosisSettings,
-    by_manoeuvre,
-    finite,
-    lag_of,
-    quiet,
-)
+from bayes_aero.diagnosis.selection_state import DEFAULT, CandidateModel, DiagnosisSettings, by_manoeuvre, finite, quiet
 from bayes_aero.dynamics import flight
 from bayes_aero.dynamics.kalman import neighbour_correlation, prediction_errors, smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
@@ -95,7 +87,6 @@ def simulated(
 def posterior_draws(
     fit: output_error.OutputErrorResult, variance_inflation: float, seed: int, count: int = DRAWS
 ) -> Float[np.ndarray, "m k"]:
-    """Parameters drawn from the posterior, within their bounds."""
     moving = np.flatnonzero(fit.sd > 0.0)
     covariance = variance_inflation * fit.covariance[np.ix_(moving, moving)]
     return normal_draws(fit.estimate, moving, covariance, fit.parameters, seed, count)
@@ -292,7 +283,6 @@ def holdout_fits(
 
 
 def left_out_of(paths: Sequence[result.SimulatedManoeuvre], flown: SegmentTrajectories, inflation: float) -> LeftOut:
-    """What simulations, in order, miss of every segment of `flown`."""
     left = [np.stack([p.measured[n] - p.simulated[n] for n in flown.outputs], axis=1) for p in paths]
     scaled = [x / s for x, s in zip(left, flown.growth, strict=True)]
     return _left_out(scaled, flown, inflation, flyable=all(p.inside for p in paths))
@@ -316,7 +306,7 @@ SETTLED = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
 
 def open_lag(full: CandidateModel, extension: Extension, model: Model) -> Effect | None:
     """The catalogue's lag, if the flow of the extended model separates without one and the lag scores as a rival."""
-    lag, stages = lag_of(full), {e.stage for e in model.acting}
+    lag, stages = full.lag, {e.stage for e in model.acting}
     if lag is None or Stage.LAG in stages or Stage.SEPARATION not in stages or not extension.steps:
         return None
     scores = [s.score for s in extension.steps[-1].screening.candidate_scores if s.effect == lag.name]
@@ -788,8 +778,6 @@ def flown_modes(
 
 
 def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 2"]) -> result.FlownMode:
-    """A mode of this eigenvalue (1/s) whose real and imaginary part have this covariance (2, 2)."""
-
     def root(variance: float) -> float:
         return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.inf
 

@@ -290,7 +290,6 @@ def terms_of_coefficient(
         return []
 
     def gain(components: Sequence[Component]) -> float:
-        """Deviance of left-out folds that components gain together."""
         wide = state.with_components((), components)
         return holdout_deviance_gain(wide, wide.columns(), state.columns())
 
@@ -351,7 +350,6 @@ def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.
 
 
 def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[FoundTerm, ...]:
-    """All terms fitted together, beside the parameters of the model."""
     whole = state.with_components((), components_of(terms))
     fit, errors = whole.best, screening.jackknife_errors(whole, state.responses.parts)
     deviation = np.maximum(np.sqrt(np.diag(screening.uncertainty(whole))), errors)
@@ -497,7 +495,6 @@ class _Model:
         return float(causes + offsets + functions + sum(one.cost for one in self.terms))
 
     def less(self, item: str | SelectedTerm) -> _Model:
-        """Without a term, a cause, or the offsets of a coefficient; the others as they were."""
         state = self.state
         if isinstance(item, SelectedTerm):
             return replace(self, terms=tuple(term for term in self.terms if term is not item))
@@ -520,7 +517,6 @@ class _Model:
         return self.state.settings.degrades(*after.gain(before))
 
     def curved(self, curves: Sequence[Component]) -> _Model:
-        """With each function that earns its cost."""
         model = self
         for curve in curves:
             wider = replace(model, functions=(*model.functions, curve))
@@ -544,7 +540,6 @@ class _Model:
             model = best if best.state is model.state else best.refitted()
 
     def with_terms_for(self, name: str) -> _Model:
-        """With terms, and functions, in place of one cause."""
         state = _without(self.state, [name], self.state.apart)
         reached = _reached(state, self.state, ())
         terms = tuple(_beside(state, reached, self.terms, [name], self.state))

@@ -137,19 +137,15 @@ class Structure:
         growth = SeparatedFlow(errors, separated, inside).growths() if np.ptp(separated[inside]) > 0.0 else 0.0
         growth = growth + np.zeros(errors.shape[2])
         sized = errors / (1.0 + growth * separated[:, :, None])
-        folds, rests = [], []
-        for error, real, step in zip(sized, inside, dt, strict=True):
-            means, rest = _means(error[real], step)
-            folds.append(means.T)
-            rests.append(rest)
-        fast = np.sqrt(np.mean(np.concatenate(rests) ** 2, axis=0))
-        slow = np.mean(np.concatenate([f.T for f in folds]) ** 2, axis=0)
-        long = [f for f in folds if f.shape[1] >= SHORTEST]
+        parts = [_means(error[real], step) for error, real, step in zip(sized, inside, dt, strict=True)]
+        fast = np.sqrt(np.mean(np.concatenate([rest for _, rest in parts]) ** 2, axis=0))
+        slow = np.mean(np.concatenate([means for means, _ in parts]) ** 2, axis=0)
+        long = [means.T for means, _ in parts if len(means) >= SHORTEST]
         phi = autoregression(long)[0] if long else np.zeros((len(slow), ORDER))
         white = np.mean((fast * (1.0 + growth * separated[inside][:, None])) ** 2, axis=0)
         total = np.maximum(np.mean(errors[inside] ** 2, axis=0) - white, 1e-300)
         left = np.maximum(1.0 - explained / total, 0.0)
-        gained = np.array([_mean_square_from_zero(one, [f.shape[1] for f in folds]) for one in phi])
+        gained = np.array([_mean_square_from_zero(one, [len(means) for means, _ in parts]) for one in phi])
         return cls(phi, np.sqrt(slow * left / gained), fast, growth, SIZES * len(errors), left)
 
     def draws(
@@ -249,12 +245,10 @@ class OpenTest:
 
     @property
     def worst(self) -> int:
-        """The sample that most often leaves the band."""
         total = np.nan_to_num(self.by_parameters + self.by_all_else, nan=np.inf)
         return int(np.argmax(np.quantile(np.abs(total), qualification.PASSES_FROM, axis=0)))
 
     def probability(self, change: Float[np.ndarray, "m n"] | float = 0.0) -> float:
-        """To pass, where the part by the parameters changes by this."""
         flights = np.nan_to_num(self.by_parameters + change + self.by_all_else, nan=np.inf)
         return float(np.mean(np.all(np.abs(flights) <= self.tolerance, axis=1)))
 
@@ -268,8 +262,8 @@ class QualifiedFlights(NamedTuple):
     undecided: tuple[OpenTest, ...]
 
 
+# A manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain.
 _Case = tuple[qualification.FlightKind, SegmentTrajectories, int, Float[np.ndarray, "m k"], Structure]
-"""A manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain."""
 
 
 def qualify(
@@ -482,7 +476,6 @@ NEGLIGIBLE = 1e-8  # eigenvalue of an information matrix over its largest
 
 
 def fits_without(fit: OutputErrorResult, noise: FlightNoise) -> list[OutputErrorResult]:
-    """For each manoeuvre the fit to all others."""
     candidate = CandidateFit("qualified", fit)
     silent = {candidate.name: {k: {} for k in range(len(fit.flown.index))}}
     return [fit_without for _, fit_without in left_out([candidate], silent, noise)]
@@ -559,7 +552,6 @@ NOTABLE = 0.1  # of the scale: a smaller distance is the noise of the samples th
 
 
 def nearest(points: Float[np.ndarray, "n k"], sample: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """The point of the convex hull of `points` that is nearest to `sample`."""
     moved = (points - sample).T
     size = max(1.0, float(np.min(np.linalg.norm(moved, axis=0))))  # far samples, too, are solved to rounding
     weights, _ = nnls(np.vstack([moved / size, np.ones(moved.shape[1])]), np.append(np.zeros(len(moved)), 1.0))

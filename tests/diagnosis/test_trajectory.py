@@ -38,7 +38,6 @@ from bayes_aero.diagnosis.selection_state import (
     DiagnosisSettings,
     candidate_model,
     constants_of_manoeuvres,
-    lag_of,
 )
 from bayes_aero.diagnosis.trajectories import (
     beyond_noise,
@@ -248,7 +247,7 @@ def asked(card, hidden, seed):
     model = Model.from_card(card)
     flights, fit, noise = fitted_to_stalls(card, model, hidden, seed)
     full = candidate_model(model, flights)
-    plain, effect = hold_out.CandidateFit("extended", fit), lag_of(full)
+    plain, effect = hold_out.CandidateFit("extended", fit), full.lag
     wider = replace(model.extended(), fixed=())
     lagged, lag = hold_out.with_lag(wider, effect, plain, noise)
     if not lag.gains:
