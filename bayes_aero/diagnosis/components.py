@@ -233,9 +233,6 @@ def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
     return tuple(differing)
 
 
-# --- The folds by which components must predict.
-
-
 def parts_of(state: SelectionState, count: int) -> tuple[slice, ...]:
     """Every manoeuvre in `count` parts, some blocks between neighbours left out."""
     edges = [np.flatnonzero(state.responses.manoeuvre == k) for k in range(len(state.responses.flights.lengths))]
@@ -250,9 +247,6 @@ def chunks(state: SelectionState) -> tuple[slice, ...]:
 def has_chunks(state: SelectionState) -> bool:
     """Whether every manoeuvre is long enough for a sinusoid to be fitted to parts of it and predict the others."""
     return all(part.stop - part.start > ORDER for part in chunks(state))
-
-
-# --- Components in a regression.
 
 
 def in_batches(state: SelectionState, components: Sequence[Component], folds: Sequence[slice]) -> list[list[Component]]:
@@ -299,9 +293,6 @@ class Trial:
         return screening.chance_of(
             self.share, np.max([screening.null_shares(x, colour, self.fit.variance, seed) for x in among], axis=0)
         )
-
-
-# --- The library's terms, and polynomials, as columns of a regression.
 
 
 @dataclass(frozen=True)

@@ -275,8 +275,6 @@ def judged_on_held_out_flights(
     return diagnosis.judged(causes=tuple(map(judged, diagnosis.causes)))
 
 
-# --- What every cause gains on hold-out data beside the causes before it.
-
 NOTHING = (float("nan"), float("nan"))
 Pairs = dict[str, tuple[selection.LeftOut, selection.LeftOut]]  # hold-out data without and with each cause
 NO_GAIN = result.Gain(*NOTHING, "not measured", {}, {})
@@ -400,22 +398,17 @@ RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces mak
 
 
 def view_of(diagnosis: result.Diagnosis) -> result.DiagnosisView:
-    if diagnosis.by_coefficients:
-        return coefficient_view(diagnosis)
-    units = {p.name: p.unit for p in diagnosis.aerodynamics.state.full.model.free}
-    moves = {  # of the card's parameters before, the standard errors are not known
-        name: result.ParameterMove(a, b, float("nan"), sd, units[name])
-        for name, (a, b, sd) in diagnosis.base_moves.items()
-    }
-    deviations = {name: move.sd_after for name, move in moves.items()}
-    covariance = joint_covariance(diagnosis.aerodynamics, deviations, diagnosis.causes)
-    return result.DiagnosisView(
-        diagnosis=diagnosis, rankings=rankings_of(diagnosis), moves=moves, covariance=covariance
-    )
-
-
-def coefficient_view(diagnosis: result.Diagnosis) -> result.View:
-    """Refit the card's model without any correction of the sensors, and evaluate both models at the recorded rate."""
+    """Both models; of coefficients without any correction of the sensors in the card's, at the recorded rate."""
+    if not diagnosis.by_coefficients:
+        units = {p.name: p.unit for p in diagnosis.aerodynamics.state.full.model.free}
+        moves = {  # of the card's parameters before, the standard errors are not known
+            name: result.ParameterMove(a, b, float("nan"), sd, units[name])
+            for name, (a, b, sd) in diagnosis.base_moves.items()
+        }
+        deviations = {name: move.sd_after for name, move in moves.items()}
+        shown = {"rankings": rankings_of(diagnosis), "moves": moves}
+        covariance = joint_covariance(diagnosis.aerodynamics, deviations, diagnosis.causes)
+        return result.DiagnosisView(diagnosis=diagnosis, covariance=covariance, **shown)
     last, sensors = diagnosis.aerodynamics, diagnosis.sensors
     before, after = last.base, last.state
     if sensors is not None and sensors.state.active:
@@ -512,9 +505,6 @@ def _moves(before: result.Fitted, after: result.Fitted) -> dict[str, result.Para
     return moves
 
 
-# --- The covariance of a fitted model's estimates, with what a diagnosis adds to it for its causes.
-
-
 def covariance_of(model: result.Fitted | selection.Extension) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
     """Which parameters were fitted, and the covariance of their estimates that coloured residuals leave."""
     columns = model.state.best.columns
@@ -534,9 +524,6 @@ def joint_covariance(
     variance = np.diag(covariance)
     beyond = [max(reported.get(name, 0.0) ** 2 - own, 0.0) for name, own in zip(names, variance, strict=True)]
     return names, 0.5 * (covariance + covariance.T) + np.diag(beyond)  # symmetric but for rounding
-
-
-# --- Both models of a diagnosis on each manoeuvre, in the fit and on hold-out data.
 
 
 def holdout_scores(view: result.View) -> result.HoldoutScores:
@@ -573,9 +560,6 @@ def compared(
         return float(x.sum()), standard_error_of_sum(x, [len(x)])
 
     return {n: result.Compared(*summed(density[:, c]), *summed(squares[:, c])) for c, n in enumerate(state.outputs)}
-
-
-# --- The candidates of every stage in the order of their scores, as tables and figures show them.
 
 
 def rankings_of(diagnosis: result.Diagnosis) -> tuple[result.Ranking, ...]:

@@ -226,9 +226,6 @@ def verdict_of(
     return Verdict.UNDECIDED if open_ else Verdict.NO_EFFECT
 
 
-# --- What a check of records has found, before anything is fitted.
-
-
 @dataclass(frozen=True)
 class SensorCheck:
     """Flight-path consistency: the sensor errors and winds it asks for, and root mean squares before and after, SI."""
@@ -261,9 +258,6 @@ class CheckReport:
         return not any(r.problems for r in self.records) and "" in self.uses.values()
 
 
-# --- Sizes of the causes in a band of frequencies, as plain data.
-
-
 @dataclass(frozen=True)
 class SizeInBand:
     """A parameter of a cause, SI: in the band and of the coefficients, each with its standard error."""
@@ -284,9 +278,6 @@ class CausesInBand:
     sizes: tuple[SizeInBand, ...]
     unseen: tuple[str, ...]  # parameters of causes that the band does not show
     converged: bool  # whether the fit did
-
-
-# --- What is reported of a form found for structure that no effect of the catalogue explains.
 
 
 @dataclass(frozen=True)
@@ -550,9 +541,6 @@ class ProcessNoise:
     def coloured(self) -> tuple[str, ...]:
         """Outputs with neighbouring innovations that are correlated: something is not modelled."""
         return tuple(name for name, r in self.autocorrelation.items() if abs(r) > COLOURED_INNOVATIONS)
-
-
-# --- Modes of motion of a fitted model.
 
 
 @dataclass(frozen=True)

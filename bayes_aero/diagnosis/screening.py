@@ -270,9 +270,6 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
     return -float(ndtri(max(tail, 1e-304) / 2.0)) if tail < 1.0 else 0.0
 
 
-# --- Noise of coefficients that grows as the flow separates.
-
-
 def noise_growth_of(state: SelectionState) -> Rows:
     """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0; flight-path outputs have none."""
     growth, own = np.ones_like(state.residual), state.responses.model.coefficients
@@ -292,9 +289,6 @@ def noise_growth_of(state: SelectionState) -> Rows:
         if level > 0.0:
             growth[:, c] = 1.0 + max(0.0, slope / level) * apart
     return growth
-
-
-# --- Scores of all candidates, and noise-only replicates.
 
 
 @dataclass(frozen=True)

@@ -336,8 +336,6 @@ def _path_gain(sensors: Extension, name: str) -> float:
     return math.inf if own is None else nats(max(own.gain, 0.0), own.variance_inflation)
 
 
-# --- Innovations and trajectories.
-
 FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
 START_STEPS = 8  # of output error, from which the filter begins: its last ones settle what the filter moves again
 

@@ -697,8 +697,6 @@ def moved(
     return linearised(state.full, state.responses, state.outputs, theta, active, apart, state)
 
 
-# --- Parameters fitted to the residuals of any folds by Gauss-Newton.
-
 REFITS = 8
 LEAST_GAIN = 0.05  # of the deviance
 

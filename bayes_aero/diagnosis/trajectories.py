@@ -437,8 +437,6 @@ def _first_order(
     return without
 
 
-# --- Variance inflation of a fit to trajectories.
-
 THINNING = 5  # samples averaged for the autocorrelation of the residuals
 
 
@@ -586,9 +584,6 @@ def _extended(whole: Model, effects: Sequence) -> Model:
     parameters = {p.name: p for p in whole.parameters}
     model = Model.of(effects, {k: v for k, v in whole.fixed if k in names}, whole.axes)
     return replace(model, parameters=tuple(parameters[p.name] for p in model.parameters))
-
-
-# --- One model fitted to trajectories: parameters, initial states, variance inflation, errors by flight.
 
 
 @blas_threads(0)

@@ -67,12 +67,9 @@ class Left(NamedTuple):
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
     state, components, replaced = extension.state, list[FoundComponent](), extension.causes
-    for number in range(max(state.settings.unnamed_most, len(state.outputs))):
-        best = _best(state, [f.component for f in components], seed + number)
-        if best is None:
-            break
-        components.append(best)
-        state = best.state
+    most = max(state.settings.unnamed_most, len(state.outputs))
+    while len(components) < most and (best := _best(state, [f.component for f in components], seed + len(components))):
+        components, state = [*components, best], best.state
     chosen = [f.component for f in components]
     if components:
         replaced, over = superfluous(state, extension.causes, chosen), {(c.coefficient, c.channel) for c in chosen}
@@ -144,12 +141,9 @@ def _constants(state: SelectionState) -> set[str]:
 def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
     """Named causes of which little is left once the components are in: they had stood in for them."""
     wide, least = state.with_components((), chosen), state.least_share(state.settings.unnamed_share)
-    dropped, deviance, count = [], wide.best.deviance, float(wide.products.count.sum())
-    for name in causes:
-        rest = removed(state, name).with_components((), chosen).best.deviance
-        if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < least:
-            dropped.append(name)
-    return tuple(dropped)
+    deviance, count = wide.best.deviance, float(wide.products.count.sum())
+    more = {n: removed(state, n).with_components((), chosen).best.deviance - deviance for n in causes}
+    return tuple(n for n, x in more.items() if 1.0 - np.exp(-max(x, 0.0) / count) < least)
 
 
 def withdrawn(extension: Extension, names: Sequence[str], sizes: Mapping[str, Size]) -> Extension:
@@ -362,17 +356,11 @@ def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[F
     return tuple(sizes)
 
 
-# --- Where a model meets the record in flight.
-
-
 def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
     """Terms of all coefficients, the first added first."""
     library = [columns_of(state, name) for name in state.responses.model.coefficients]
     left = list[SelectedTerm]()
-    for number in range(state.settings.unnamed_most):
-        best = _next(state, library, left, seed + number)
-        if best is None:
-            break
+    while len(left) < state.settings.unnamed_most and (best := _next(state, library, left, seed + len(left))):
         left.append(best)
     left = reconsidered(state, left)
     while left:  # those of which, beside the others, nothing sure is left go out, the least sure first

@@ -197,8 +197,6 @@ def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int])
     return float(np.cumsum(variances)[np.array(lengths) - 1].sum() / sum(lengths))
 
 
-# --- How probably each test passes.
-
 CENTRAL = (0.025, 0.975)
 DRAWS = 40  # for the mean square that parameters or gusts explain
 FAR = 1e30  # of a flight that left the envelope
