@@ -290,9 +290,8 @@ class Trial:
     def chance(self, among: Sequence[SelectionState], seed: int) -> float:
         """How often noise of the colour that is left alone lets some component of these explain as large a share."""
         colour = screening.autocorrelation_of(self.left, self.state.folds)
-        return screening.chance_of(
-            self.share, np.max([screening.null_shares(x, colour, self.fit.variance, seed) for x in among], axis=0)
-        )
+        nulls = [screening.null_shares(x, colour, self.fit.variance, seed) for x in among]
+        return screening.chance_of(self.share, np.max(nulls, axis=0))
 
 
 @dataclass(frozen=True)

@@ -355,11 +355,8 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
 
 def _information_of_errors(state: SelectionState) -> tuple[list[Effect], np.ndarray, np.ndarray, np.ndarray]:
     """Errors of one parameter that move the flight path, their columns, information, and what is left for them."""
-    effects = [
-        e
-        for e in state.full.candidates
-        if len(e.parameters) == 1 and not e.scan and e.sizes and np.any(state.S[:, :, state.full.own_columns(e.name)])
-    ]
+    single = [e for e in state.full.candidates if len(e.parameters) == 1 and not e.scan and e.sizes]
+    effects = [e for e in single if np.any(state.S[:, :, state.full.own_columns(e.name)])]
     columns = state.full.columns([e.parameters[0].name for e in effects])
     X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
     weight = 1.0 / state.best.variance

@@ -462,9 +462,7 @@ def _fitted(state: SelectionState, measured: Float[np.ndarray, "n c"], channels:
         scores, parts = score(z, z - e), result.theil_parts(z, z - e)
         within = {f"{p:g}": np.abs(standard[:, c]) <= stats.norm.ppf(0.5 + p / 2) for p in result.LEVELS}
         composition[name] = {
-            "r": scores.r,
-            "rmse": scores.rmse,
-            "r2": scores.r2,
+            **{key: getattr(scores, key) for key in ("r", "rmse", "r2")},
             "theil": parts.theil,
             **{f"theil_{part}": getattr(parts, part) for part in ("bias", "variance", "covariance")},
             "lag1": lag1_within(e, manoeuvre),

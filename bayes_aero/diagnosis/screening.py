@@ -138,10 +138,8 @@ def autocorrelation_of(residual: Rows, folds: Sequence[slice]) -> Autocorrelatio
 
 
 def autocorrelations_of(residuals: Records, folds: Sequence[slice]) -> list[Autocorrelation]:
-    each = [
-        autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
-        for c in range(residuals.shape[2])
-    ]
+    outputs = np.moveaxis(residuals, 2, 0)
+    each = [autoregression([np.ascontiguousarray(x[:, fold]) for fold in folds]) for x in outputs]
     phi, sigma = (np.stack(parts, axis=1) for parts in zip(*each, strict=True))
     return [Autocorrelation(p, s) for p, s in zip(phi, sigma, strict=True)]
 

@@ -202,9 +202,8 @@ def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bo
         if standing.score < settings.least_score or standing.log_bayes <= 0.0:
             continue
         if not len(ranking.nulls):
-            projected = PartialledRegression(
-                state, state.best, [b[1] for b in state.blocks if b[0] not in state.active]
-            )
+            blocks = [b[1] for b in state.blocks if b[0] not in state.active]
+            projected = PartialledRegression(state, state.best, blocks)
             ranking = replace(ranking, nulls=projected.nulls(ranking.colour, noise.replicates))
         if (p := ranking.p_value(standing.score)) <= settings.false_alarm_rate:
             return SelectionStep(standing.effect, p, ranking)

@@ -597,9 +597,8 @@ def fit_trajectories(
     setting: result.Setting = result.Setting(),
     progress: Progress | None = None,
 ) -> result.TrajectoryFit:
-    """Fit windows from the parameters' own start and every one of `starts`, then whole manoeuvres.
-    Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
-    by the one and its samples by the other."""
+    """Fit windows from the parameters' own start and every one of `starts`, then whole manoeuvres."""
+    # Colour, and growth as the flow separates, of what is missed weigh the last fit's priors and samples.
     tell = progress or quiet
     by_effects = isinstance(flight.unbiased(dynamics), flight.AircraftDynamics)
     dynamics = flight.biased_dynamics(dynamics, flights, setting.biases)

@@ -169,9 +169,8 @@ def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) ->
         batches, leaders = in_batches(state, components, folds), list[tuple[float, Component]]()
         for batch in batches:
             trials, by_label = state.with_components(batch, chosen, folds), {c.label: c for c in batch}
-            scores = screening.screen(
-                trials, noise=screening.SharedNoise(seed, trials.folds, len(trials.outputs), trials.settings)
-            ).candidate_scores[:tried]
+            noise = screening.SharedNoise(seed, trials.folds, len(trials.outputs), trials.settings)
+            scores = screening.screen(trials, noise=noise).candidate_scores[:tried]
             leaders += [(standing.score, by_label[standing.effect]) for standing in scores]
         for _, component in sorted(leaders, key=lambda leader: -leader[0])[:tried]:
             trial = Trial(state, component, chosen, folds)
@@ -583,14 +582,10 @@ def described(unknown: Sequence[UnexplainedStructure], forms: Forms) -> tuple[Un
     """Structure by the first function that shows it, where terms describe all of it."""
     by_coefficient = {term.coefficient: term for term in reversed(forms.terms)}
     first = {u.coefficient: u for u in reversed(unknown)}
-    more = [
-        UnexplainedStructure(c, t.term.name, t.share, float("nan")) for c, t in by_coefficient.items() if c not in first
-    ]
-    more += [
-        UnexplainedStructure(function.coefficient, function.channel, share, float("nan"))
-        for function, share in forms.functions
-        if function.coefficient not in {**first, **by_coefficient}
-    ]
+    shapes, named = [(c, t.term.name, t.share) for c, t in by_coefficient.items()], {**first, **by_coefficient}
+    shapes = [shape for shape in shapes if shape[0] not in first]
+    shapes += [(f.coefficient, f.channel, share) for f, share in forms.functions if f.coefficient not in named]
+    more = [UnexplainedStructure(*shape, float("nan")) for shape in shapes]
     return (*(u for u in unknown if u.coefficient not in by_coefficient or u is first[u.coefficient]), *more)
 
 

@@ -434,12 +434,9 @@ def further_flights(
         ]
         refused = refused_points(variants, envelope)
         points = best_points(possible, np.zeros_like(first), nats=nats, expected=expected, decided=decided)
-    present = [test.probability() for test in tests]
-    questions = [
-        qualification.OpenTolerance(t.kind, t.manoeuvre, t.output, *x)
-        for t, *x in zip(tests, present, known, strict=True)
-    ]
-    return qualification.Further(tuple(questions), tuple(points), refused)
+    pairs = zip(tests, known, strict=True)
+    about = [(t.kind, t.manoeuvre, t.output, t.probability(), chance) for t, chance in pairs]
+    return qualification.Further(tuple(qualification.OpenTolerance(*x) for x in about), tuple(points), refused)
 
 
 def _after(first: Float[np.ndarray, "k k"], information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
