@@ -634,7 +634,7 @@ def reported_change(
     """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
     span, column = change.scan.over[change.at[0]], int(change.scan.columns[change.at[1]])
     begin, parameter = int(np.argmax(state.responses.manoeuvre == span.manoeuvre)), state.full.model.free[column]
-    before, after, size = _sizes(state, change, chosen, column)
+    sizes = dict(zip(("before", "after", "size"), _sizes(state, change, chosen, column), strict=True))
     nearest, rivals, inflation = _as_good(state, change)
     seconds, scores = state.responses.seconds, [] if election is None else election.candidate_scores
     effects = [s.effect for s in scores if nats(change.gain - s.gain, inflation) < state.settings.ambiguous]
@@ -645,9 +645,7 @@ def reported_change(
         at=(span.begin - begin) * seconds,  # a block is as fine as it gets
         interval=(max(nearest[0] - 1 - begin, 0) * seconds, (nearest[1] + 1 - begin) * seconds),
         lasts=span.end == len(state.residual),
-        before=before,
-        after=after,
-        size=size,
+        **sizes,
         share=change.share,
         p_value=change.p_value,
         gain=nats(change.gained, inflation),

@@ -16,7 +16,7 @@ from bayes_aero.diagnosis import result, selection
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts, open_errors
 from bayes_aero.diagnosis.design import narrowed
 from bayes_aero.diagnosis.screening import CandidateScore, lag1_within, screen, uncertainty
-from bayes_aero.diagnosis.search import Search, SearchResult
+from bayes_aero.diagnosis.search import Search, SearchResult, lacking
 from bayes_aero.diagnosis.selection_state import (
     DEFAULT,
     CandidateModel,
@@ -64,7 +64,8 @@ def diagnose(
     gusts = in_gusts(records, card, seed) if settings.process_noise is None else {}
     candidates = (*own_effects(card.effect_files).values(), *extra)
     search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress or quiet)
-    searched = search.made(by_innovations=bool(settings.process_noise or gusts))
+    by_model = search.trajectories if lacking(records, card) else search.coefficients
+    searched = search.innovations() if settings.process_noise or gusts else by_model()
     stages, state = searched.stages, searched.model.state
     kept_of, failed = {stage: extension.state.active for stage, extension in stages.items()}, ()
     if settings.gains and searched.testable_now:

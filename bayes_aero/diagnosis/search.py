@@ -40,6 +40,8 @@ from bayes_aero.residuals.base import WINDOW, FlightPathError, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import FilterError, OutputError
 
+ONLY_TERMS = "Of structure without a name, terms of the library are sought, and no functions of a channel or of time."
+
 
 @dataclass(frozen=True)
 class SearchResult:
@@ -107,12 +109,6 @@ class Search:
     settings: selection_state.DiagnosisSettings
     seed: int
     progress: Progress = quiet
-
-    def made(self, *, by_innovations: bool) -> SearchResult:
-        """By innovations, or by coefficients where the records have what these need, or by trajectories."""
-        if by_innovations:
-            return self.innovations()
-        return self.trajectories() if lacking(self.records, self.card) else self.coefficients()
 
     def coefficients(self) -> SearchResult:
         """Where coefficients can be formed."""
@@ -193,10 +189,7 @@ class Search:
                 apart, active = added.state.apart, chosen
 
         extension = selection.plausible(select)
-        notes = [
-            "Of structure without a name, terms of the library are sought in innovations, and no functions of a "
-            "channel or of time."
-        ]
+        notes = [ONLY_TERMS]
         if status is not PredictionErrorStatus.CONVERGED:
             notes.append(f"Process noise: {status.value}.")
         return self._with_terms(extension, flights, outliers, notes)
@@ -220,8 +213,7 @@ class Search:
         if absent := lacking(self.records, self.card):
             notes.append(
                 f"Without {', '.join(absent)} no coefficients can be formed: the diagnosis rests on simulated "
-                "trajectories. Of structure without a name, terms of the library are sought, and no functions of a "
-                "channel or of time."
+                f"trajectories. {ONLY_TERMS}"
             )
         return self._with_terms(lagged or extension, flights, outliers, notes, failures)
 

@@ -13,20 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linprog
 
+from bayes_aero.diagnosis import screening
 from bayes_aero.diagnosis.result import Absorbed, CancellingPair, Confirmation, Size
-from bayes_aero.diagnosis.screening import (
-    CandidateScore,
-    PartialledRegression,
-    ScreeningResult,
-    SharedNoise,
-    jackknife_errors,
-    jackknife_p_value,
-    log_bayes,
-    noise_growth_of,
-    refit_p_value,
-    screen,
-    uncertainty,
-)
+from bayes_aero.diagnosis.screening import CandidateScore, ScreeningResult, screen, uncertainty
 from bayes_aero.diagnosis.selection_state import (
     DEFAULT,
     DiagnosisSettings,
@@ -108,7 +97,7 @@ def selected(
     most = state.settings.max_effects if most is None else most
     state = refitted(state)
     inflation = median_inflation(np.array([s.variance_inflation for s in screen(state).candidate_scores]))
-    state = replace(state, noise_growth=noise_growth_of(state), variance_inflation=inflation)
+    state = replace(state, noise_growth=screening.noise_growth_of(state), variance_inflation=inflation)
     first = state = refitted(moved(state, state.theta))
     steps: list[SelectionStep] = []
     noisy: tuple[str, ...] = ()
@@ -167,7 +156,7 @@ def _offsets_instead(state: SelectionState, winner: CandidateScore) -> tuple[str
 def sized(extension: Extension) -> Extension:
     """What was added, with sizes, and which of it are causes."""
     state, names = extension.state, extension.state.full.model.names
-    errors = jackknife_errors(state, state.responses.stretch)
+    errors = screening.jackknife_errors(state, state.responses.stretch)
     least = {names[c]: float(x) for c, x in zip(state.best.columns, errors, strict=True) if c < len(names)}
     estimates = {name: replace(size, sd=max(size.sd, least[name])) for name, size in sizes(state).items()}
     causes, minor = worth(state, estimates)
@@ -188,7 +177,7 @@ def noise_shares(state: SelectionState) -> dict[str, float]:
 
 def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bool) -> SelectionStep:
     """The most explaining candidate, not `barred`, that is beyond chance, matters, and predicts folds left out."""
-    settings, noise = state.settings, SharedNoise(seed, state.folds, len(state.outputs), state.settings)
+    settings, noise = state.settings, screening.SharedNoise(seed, state.folds, len(state.outputs), state.settings)
     ranking, able = screen(state, nulls=first, noise=noise), list[CandidateScore]()
     leaders: dict[str, CandidateScore] = {}
     for standing in (s for s in ranking.candidate_scores if s.effect not in barred):
@@ -203,14 +192,14 @@ def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bo
             continue
         if not len(ranking.nulls):
             blocks = [b[1] for b in state.blocks if b[0] not in state.active]
-            projected = PartialledRegression(state, state.best, blocks)
+            projected = screening.PartialledRegression(state, state.best, blocks)
             ranking = replace(ranking, nulls=projected.nulls(ranking.colour, noise.replicates))
         if (p := ranking.p_value(standing.score)) <= settings.false_alarm_rate:
             return SelectionStep(standing.effect, p, ranking)
     among, alone = len(ranking.candidate_scores), not state.responses.freedom
     for standing in able if alone else able[: settings.candidates_refitted]:
         if alone:
-            p, limit = refit_p_value(state, standing, noise), settings.false_alarm_rate
+            p, limit = screening.refit_p_value(state, standing, noise), settings.false_alarm_rate
         else:  # no stationary colour holds, with a leader in or out
             p = between_p_value(refitted(added(state, standing)), standing.effect, among)
             limit = settings.refit_false_alarm_rate
@@ -227,7 +216,7 @@ def between_p_value(wider: SelectionState, effect: str, among: int) -> float:
     columns = wider.full.own_columns(effect)
     if not np.all(np.isin(columns, wider.best.columns)):
         return 1.0
-    return jackknife_p_value(wider, wider.best, columns, wider.departure[columns], among)
+    return screening.jackknife_p_value(wider, wider.best, columns, wider.departure[columns], among)
 
 
 def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
@@ -273,7 +262,7 @@ def _reconsidered(state: SelectionState, barred: Sequence[str]) -> SelectionStat
         if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, state.best.columns))):
             return own.log_bayes
         at, precision = state.best.places(columns), state.precision[columns] / state.variance_inflation
-        return log_bayes(away, uncertainty(state)[np.ix_(at, at)], state.mean[columns] + away, precision)
+        return screening.log_bayes(away, uncertainty(state)[np.ix_(at, at)], state.mean[columns] + away, precision)
 
     for effect in state.active[:-1]:
         ranking = screen(state, without=effect)

@@ -18,26 +18,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc
 
+from bayes_aero.diagnosis import components as shapes
 from bayes_aero.diagnosis import screening
-from bayes_aero.diagnosis.components import (
-    SAME,
-    SEPARATED,
-    FoundChange,
-    FoundComponent,
-    TermColumn,
-    Trial,
-    columns_of,
-    families,
-    holdout_gain_of,
-    in_batches,
-    likeness,
-    parts_of,
-    polynomials,
-    reported_change,
-    sought_change,
-    term_of,
-    testable,
-)
+from bayes_aero.diagnosis.components import SAME, TermColumn, Trial, families, holdout_gain_of, in_batches, likeness
 from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm, Size, UnexplainedStructure
 from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed, truncated
 from bayes_aero.diagnosis.selection_state import (
@@ -66,14 +49,14 @@ class Left(NamedTuple):
 
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
-    state, components, replaced = extension.state, list[FoundComponent](), extension.causes
+    state, components, replaced = extension.state, list[shapes.FoundComponent](), extension.causes
     most = max(state.settings.unnamed_most, len(state.outputs))
     while len(components) < most and (best := _best(state, [f.component for f in components], seed + len(components))):
         components, state = [*components, best], best.state
     chosen = [f.component for f in components]
     if components:
         replaced, over = superfluous(state, extension.causes, chosen), {(c.coefficient, c.channel) for c in chosen}
-        lines = {n: term_of(state, n) for n in replaced}  # terms of a channel, of which a function of it has all
+        lines = {n: shapes.term_of(state, n) for n in replaced}  # terms of a channel, of which a function of it has all
         line = {n for n, t in lines.items() if t and any((t.component.coefficient, x) in over for x in t.term.channels)}
         replaced = tuple(name for name in replaced if name not in line)
     elif replaced:
@@ -88,14 +71,14 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
     bare = components[-1].state.without([name for name in replaced if name in components[-1].state.active])
     election = None if last is None or last.chosen is not None else last.screening
     for found in components:
-        if isinstance(found, FoundChange):
-            change = reported_change(bare, found, chosen, election)
+        if isinstance(found, shapes.FoundChange):
+            change = shapes.reported_change(bare, found, chosen, election)
             if not (change.between and set(change.ambiguous_with) & _constants(bare)):
                 changes.append(change)
         else:
             of = found.component
             unknown.append(UnexplainedStructure(of.coefficient, of.channel, found.share, found.p_value))
-    functions = tuple(found.component for found in components if not isinstance(found, FoundChange))
+    functions = tuple(found.component for found in components if not isinstance(found, shapes.FoundChange))
     return Left(tuple(unknown), replaced, tuple(changes), functions)
 
 
@@ -153,16 +136,16 @@ def withdrawn(extension: Extension, names: Sequence[str], sizes: Mapping[str, Si
     return replace(extension, causes=causes, minor=minor, sizes={**extension.sizes, **sizes})
 
 
-def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
+def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> shapes.FoundComponent | None:
     """The component, or change, that explains what is left beyond chance and predicts left-out data best."""
     smooth = next(_functions(state, chosen, seed), None)
-    change = sought_change(state, chosen, seed=seed)
+    change = shapes.sought_change(state, chosen, seed=seed)
     if change is not None and (smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen)):
         return change
     return smooth
 
 
-def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) -> Iterator[FoundComponent]:
+def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) -> Iterator[shapes.FoundComponent]:
     """Those beyond chance, family by family, the highest score first."""
     tried, rate = state.settings.unnamed_tried, state.settings.unnamed_false_alarm_rate
     for folds, components, least in families(state):
@@ -177,19 +160,19 @@ def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) ->
             if trial.gain > 0.0 and trial.share >= least:
                 p = trial.chance([state.with_components(batch, chosen, folds) for batch in batches], seed)
                 if p <= rate:
-                    yield FoundComponent(state, component, trial.share, p)
+                    yield shapes.FoundComponent(state, component, trial.share, p)
 
 
-def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent] | None:
+def _changing_in(extension: Extension, seed: int) -> tuple[float, shapes.FoundComponent] | None:
     """A change in place of the causes, and by how much more than they must it predicts."""
     state = extension.state
     bare = state.without(extension.causes)
-    if not testable(bare):
+    if not shapes.testable(bare):
         return None
-    parts, own = parts_of(state, state.settings.change_parts), state.full.own_columns(*extension.causes)
+    parts, own = shapes.parts_of(state, state.settings.change_parts), state.full.own_columns(*extension.causes)
     divided = replace(bare, products=Products.of(bare.residual / bare.noise_growth, bare.scaled, parts), folds=parts)
     of_causes = holdout_deviance_gain(divided, np.append(bare.columns(), own))
-    change = sought_change(bare, (), seed=seed, least=max(of_causes, 0.0))
+    change = shapes.sought_change(bare, (), seed=seed, least=max(of_causes, 0.0))
     margin = -math.inf if change is None else _margin(state, change.gained, of_causes)
     return (margin, change) if change is not None and margin > 0.0 else None
 
@@ -198,7 +181,7 @@ def _margin(state: SelectionState, gained: float, of_causes: float) -> float:
     return gained - state.settings.stand_in * max(of_causes, 0.0) - 6.0 * state.variance_inflation
 
 
-def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
+def _standing_in(extension: Extension) -> tuple[float, shapes.FoundComponent] | None:
     """The same of a function, of whose share a part must be left where the causes are in."""
     # A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts
     # less than a function of its own channel where the parameters of the model beside it extrapolate.
@@ -219,7 +202,7 @@ def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
             margin, share = _margin(state, gained, of_causes), taken_out.share_of(every[i])
             left = trial.share_of(every[i]) if margin > 0.0 and share >= least else 0.0
             if left > 0.0 and left_beside(share, left, state.settings) and (best is None or margin > best[0]):
-                best = (margin, FoundComponent(state, components[i], share, float("nan")))
+                best = (margin, shapes.FoundComponent(state, components[i], share, float("nan")))
     return best
 
 
@@ -267,7 +250,7 @@ def terms_of_coefficient(
     state: SelectionState, coefficient: str, functions: Sequence[Component], *, seed: int
 ) -> list[SelectedTerm]:
     """Terms that describe what is left of a coefficient as well as the `functions` by which it was found."""
-    columns, terms, settings = columns_of(state, coefficient), list[SelectedTerm](), state.settings
+    columns, terms, settings = shapes.columns_of(state, coefficient), list[SelectedTerm](), state.settings
     for number in range(settings.terms_most):
         best, _, trial = leader(state, columns, [f.column for f in terms])
         if nats(best.gain, best.inflation) < settings.ambiguous or best.share < settings.unnamed_share:
@@ -357,7 +340,7 @@ def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[F
 
 def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
     """Terms of all coefficients, the first added first."""
-    library = [columns_of(state, name) for name in state.responses.model.coefficients]
+    library = [shapes.columns_of(state, name) for name in state.responses.model.coefficients]
     left = list[SelectedTerm]()
     while len(left) < state.settings.unnamed_most and (best := _next(state, library, left, seed + len(left))):
         left.append(best)
@@ -441,9 +424,6 @@ class Forms(NamedTuple):
     sizes: Mapping[str, Size] = MappingProxyType({})  # of parameters of causes that are left, beside the terms
     functions: tuple[tuple[Component, float], ...] = ()  # polynomials beside the terms, and their shares
     unknown: tuple[UnexplainedStructure, ...] = ()  # the structure that terms of flights describe
-
-
-SHOWN = 4  # parts of a form that are listed beside a cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -530,7 +510,7 @@ class _Model:
         state = _without(self.state, [name], self.state.apart)
         reached = _reached(state, self.state, ())
         terms = tuple(_beside(state, reached, self.terms, [name], self.state))
-        curves = [curve for coefficient in reached for curve in polynomials(state, coefficient)]
+        curves = [curve for coefficient in reached for curve in shapes.polynomials(state, coefficient)]
         return _Model(state, terms, self.functions).curved(curves)
 
 
@@ -596,7 +576,7 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
     # what does not earn its cost goes out, the least useful first.
     state, causes = extension.state, extension.causes
     aerodynamic = {e.name for e in state.full.candidates if e.kind is Kind.AERODYNAMICS}
-    columns = {name: term_of(state, name) for name in causes if name in aerodynamic}
+    columns = {name: shapes.term_of(state, name) for name in causes if name in aerodynamic}
     named = {name: c.component for name, c in columns.items() if c is not None and _is_smooth(c.term)}
     rest = [name for name in causes if name not in named]
     if not (rest or state.apart):
@@ -615,7 +595,7 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
         out = [*(name for name in named if name not in alone), *left.replaced]
         more = tuple(one for one in terms if one.column.component.label not in same)
         models += [_Model(_without(state, out, state.apart), more)] if more else []
-    curves = [one for coefficient in reached for one in polynomials(named_only, coefficient)]
+    curves = [one for coefficient in reached for one in shapes.polynomials(named_only, coefficient)]
     bare = [replace(model, state=_without(model.state, rest, ())) for model in models]
     wholes, items = [model.curved(curves).refitted() for model in bare], [*rest, *state.apart]
     tried = [model.eliminated(items, whole.functions) for model, whole in zip(models, wholes, strict=True)]
@@ -663,7 +643,7 @@ def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]
 
 def _is_smooth(term: ProductTerm) -> bool:
     """Whether it is a function of the state of motion: memory and separated flow are none."""
-    return all(f.code is not None and f is not SEPARATED for f in term.factors)
+    return all(f.code is not None and f is not shapes.SEPARATED for f in term.factors)
 
 
 def _beside(
@@ -672,7 +652,9 @@ def _beside(
     """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
     terms = list(chosen)
     for name in reached:
-        columns = [c for c in columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME]
+        columns = [
+            c for c in shapes.columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME
+        ]
         for _ in range(state.settings.terms_most):
             best, explained, _ = leader(state, columns, [f.column for f in terms])
             if explained <= best.cost:
@@ -716,8 +698,8 @@ def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> di
         labels = [one.label for one in other.components if one.label not in had]
         if not (gone and labels) or (lost := best.beyond(other)) >= settings.ambiguous or other.degrades(best):
             continue
-        form = ", ".join(labels[:SHOWN]) + (f" and {len(labels) - SHOWN} more" if len(labels) > SHOWN else "")
-        rivals |= {name: (f"a form ({form})", lost) for name in gone if name not in rivals or lost < rivals[name][1]}
+        form = f"a form ({', '.join(labels)})"
+        rivals |= {name: (form, lost) for name in gone if name not in rivals or lost < rivals[name][1]}
     return rivals
 
 
