@@ -20,7 +20,7 @@ from scipy.special import chdtrc
 
 from bayes_aero.diagnosis import components as shapes
 from bayes_aero.diagnosis import screening
-from bayes_aero.diagnosis.components import SAME, TermColumn, Trial, families, holdout_gain_of, in_batches, likeness
+from bayes_aero.diagnosis.components import SAME, TermColumn, Trial, columns_of, holdout_gain_of, in_batches, likeness
 from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm, Size, UnexplainedStructure
 from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed, truncated
 from bayes_aero.diagnosis.selection_state import (
@@ -148,7 +148,7 @@ def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> shap
 def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) -> Iterator[shapes.FoundComponent]:
     """Those beyond chance, family by family, the highest score first."""
     tried, rate = state.settings.unnamed_tried, state.settings.unnamed_false_alarm_rate
-    for folds, components, least in families(state):
+    for folds, components, least in shapes.families(state):
         batches, leaders = in_batches(state, components, folds), list[tuple[float, Component]]()
         for batch in batches:
             trials, by_label = state.with_components(batch, chosen, folds), {c.label: c for c in batch}
@@ -187,7 +187,7 @@ def _standing_in(extension: Extension) -> tuple[float, shapes.FoundComponent] | 
     # less than a function of its own channel where the parameters of the model beside it extrapolate.
     state, best = extension.state, None
     own = state.full.own_columns(*state.active)
-    parts = [(f, batch, least) for f, every, least in families(state) for batch in in_batches(state, every, f)]
+    parts = [(f, batch, least) for f, every, least in shapes.families(state) for batch in in_batches(state, every, f)]
     for folds, components, least in parts:
         trial = state.with_components(components, (), folds)
         bare, every = trial.columns(()), trial.component_columns
@@ -250,7 +250,7 @@ def terms_of_coefficient(
     state: SelectionState, coefficient: str, functions: Sequence[Component], *, seed: int
 ) -> list[SelectedTerm]:
     """Terms that describe what is left of a coefficient as well as the `functions` by which it was found."""
-    columns, terms, settings = shapes.columns_of(state, coefficient), list[SelectedTerm](), state.settings
+    columns, terms, settings = columns_of(state, coefficient), list[SelectedTerm](), state.settings
     for number in range(settings.terms_most):
         best, _, trial = leader(state, columns, [f.column for f in terms])
         if nats(best.gain, best.inflation) < settings.ambiguous or best.share < settings.unnamed_share:
@@ -340,7 +340,7 @@ def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[F
 
 def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
     """Terms of all coefficients, the first added first."""
-    library = [shapes.columns_of(state, name) for name in state.responses.model.coefficients]
+    library = [columns_of(state, name) for name in state.responses.model.coefficients]
     left = list[SelectedTerm]()
     while len(left) < state.settings.unnamed_most and (best := _next(state, library, left, seed + len(left))):
         left.append(best)
@@ -652,9 +652,7 @@ def _beside(
     """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
     terms = list(chosen)
     for name in reached:
-        columns = [
-            c for c in shapes.columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME
-        ]
+        columns = [c for c in columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME]
         for _ in range(state.settings.terms_most):
             best, explained, _ = leader(state, columns, [f.column for f in terms])
             if explained <= best.cost:
