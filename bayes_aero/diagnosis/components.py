@@ -11,22 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_aero.diagnosis import screening
+from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.result import ParameterChange, ProductTerm, TermFactor
 from bayes_aero.diagnosis.selection import holdout_deviance_gain, recording_noise
-from bayes_aero.diagnosis.selection_state import (
-    TINY,
-    Component,
-    RegressionFit,
-    SelectionState,
-    constants_of_manoeuvres,
-    inverse,
-    manoeuvres,
-    moved,
-    moves,
-    noise_channels,
-    optimum,
-)
+from bayes_aero.diagnosis.selection_state import Component, RegressionFit, SelectionState, inverse, manoeuvres, moves
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.flight.health import noise_of
 from bayes_aero.inference.covariance import ORDER, nats
@@ -174,7 +162,7 @@ def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Compone
 def smooth_components(state: SelectionState) -> list[Component]:
     """A smooth function, in each coefficient, of every recorded channel that moves and is more than white noise."""
     signals, flights, knots = state.responses.predict(state.theta), state.responses.flights, state.settings.knots
-    skipped = (*SKIPPED, *noise_channels(flights))
+    skipped = (*SKIPPED, *selection_state.noise_channels(flights))
     names = [n for n in (*flights.recorded, "elapsed", "X") if n in signals and n not in skipped]
     components = []
     for name in (n for n in names if moves(signals[n], flights, 1e-6)):
@@ -223,7 +211,7 @@ def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
     if len(state.responses.flights.lengths) == 1 or not left or not has_chunks(state):
         return ()
     folds, of = chunks(state), (state.full, state.responses.manoeuvre, state.outputs, state.S)
-    components = [Component(c, "manoeuvre", constants_of_manoeuvres(*of, c)[:, :, 1:]) for c in left]
+    components = [Component(c, "manoeuvre", selection_state.constants_of_manoeuvres(*of, c)[:, :, 1:]) for c in left]
     whole, differing = state.with_components(components, (), folds), []
     for component in components:
         trial = Trial(state, component, (), folds)
@@ -275,10 +263,6 @@ class Trial:
     def fit(self) -> RegressionFit:
         return self.state.fit(self.wide)
 
-    @property
-    def left(self) -> Rows:
-        return self.state.left(self.fit)
-
     @cached_property
     def share(self) -> float:
         return float(np.max(1.0 - self.fit.variance / self.state.best.variance))
@@ -289,7 +273,7 @@ class Trial:
 
     def chance(self, among: Sequence[SelectionState], seed: int) -> float:
         """How often noise of the colour that is left alone lets some component of these explain as large a share."""
-        colour = screening.autocorrelation_of(self.left, self.state.folds)
+        colour = screening.autocorrelation_of(self.state.left(self.fit), self.state.folds)
         nulls = [screening.null_shares(x, colour, self.fit.variance, seed) for x in among]
         return screening.chance_of(self.share, np.max(nulls, axis=0))
 
@@ -381,7 +365,7 @@ def likeness(state: SelectionState, effects: Sequence[str], column: TermColumn) 
 
 def _able(state: SelectionState, signals: Signals) -> Callable[[str], bool]:
     flights = state.responses.flights
-    noise = noise_channels(flights)
+    noise = selection_state.noise_channels(flights)
     return lambda channel: channel in signals and channel not in noise and moves(signals[channel], flights, 1e-6)
 
 
@@ -423,7 +407,7 @@ def sought_change(
         return None
     # All active parameters at their optimum with it beside them.
     wide, folds = state.with_components((), [*chosen, first[0]]), manoeuvres(state.responses.manoeuvre)
-    state = moved(state, optimum(wide, range(len(state.folds))))
+    state = selection_state.moved(state, selection_state.optimum(wide, range(len(state.folds))))
     whole, wider = state.with_components((), chosen, folds), Trial(state, first[0], chosen, folds).fit
     # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
     held = whole.fit(held=wider.variance)
@@ -436,7 +420,7 @@ def sought_change(
         return None
     # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
     noise = screening.SharedNoise(seed, folds, len(state.outputs), settings)
-    colour = screening.autocorrelation_of(trial.left, folds)
+    colour = screening.autocorrelation_of(trial.state.left(trial.fit), folds)
     again = [scan.without_leader(x) for x in screening.noise_records(whole, held, colour, noise.correction)]
     colour = screening.unbiased(colour, screening.autocorrelations_of(np.array(again), folds))
     nulls = [scan.statistic(x) for x in screening.noise_records(whole, held, colour, noise.replicates)]
@@ -488,7 +472,8 @@ def _by_noise(trial: Trial, scan: ChangeScan, place: tuple[int, int], unit: floa
     elsewhere = float(trial.state.theta[column] + trial.fit.step[at])
     values = elsewhere + unit * float(trial.fit.step[-1]), elsewhere
     shares = scan.noise_shares[:, place[0], place[1]]
-    least, most = np.sort([np.array([x, x / max(1.0 - 2.0 * s, TINY)]) for x, s in zip(values, shares, strict=True)]).T
+    pairs = zip(values, shares, strict=True)
+    least, most = np.sort([np.array([x, x / max(1.0 - 2.0 * s, 1e-300)]) for x, s in pairs]).T
     return bool(np.max(least) <= np.min(most))
 
 
@@ -573,8 +558,8 @@ class ChangeScan:
             inside, outside = cross[:, p], total - cross[:, p]
             a, b = own[:, p] - form(inside, inside), whole[p] - own[:, p] - form(outside, outside)
             c = -form(inside, outside)
-            information = np.stack([a - c**2 / np.maximum(b, TINY), b - c**2 / np.maximum(a, TINY)])
-            shares[:, :, p] = noise[:, :, p] / np.maximum(information, TINY)
+            information = np.stack([a - c**2 / np.maximum(b, 1e-300), b - c**2 / np.maximum(a, 1e-300)])
+            shares[:, :, p] = noise[:, :, p] / np.maximum(information, 1e-300)
         return shares
 
     def _summed(self, x: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:

@@ -12,34 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.fft import next_fast_len
 
+from bayes_aero.diagnosis import selection, selection_state
 from bayes_aero.diagnosis.result import Diagnosis, Size
 from bayes_aero.diagnosis.screening import largest_p_value, screen
-from bayes_aero.diagnosis.selection import (
-    Extension,
-    SelectionStep,
-    correlated,
-    explained,
-    nats_gained,
-    plausible,
-    removed,
-    selected,
-    sizes,
-    without_hold,
-    worth,
-)
-from bayes_aero.diagnosis.selection_state import (
-    TINY,
-    CandidateModel,
-    DiagnosisSettings,
-    SelectionState,
-    by_manoeuvre,
-    candidate_model,
-    inverse,
-    linearised,
-    moved,
-    partialled,
-    refitted,
-)
+from bayes_aero.diagnosis.selection import Extension, SelectionStep, nats_gained, removed, selected, sizes, without_hold
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings, SelectionState, by_manoeuvre, linearised, moved
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
@@ -103,7 +80,8 @@ def errors_of_path(known: Extension) -> KnownErrors:
     """Errors of sensors and winds that a search along the flight path has found, minor ones included."""
     # One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
     # estimated together with such a one is no error by itself, either.
-    everything, joint, out = (known, *known.larger), correlated(known, known.state.active), without_hold(known)
+    everything, out = (known, *known.larger), without_hold(known)
+    joint = selection.correlated(known, known.state.active)
     named = {e.name: e for extension in everything for e in extension.state.full.candidates}
     effects = [named[name] for name in (*known.causes, *known.minor) if name not in out]
     plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in effects}
@@ -163,7 +141,7 @@ SHORTEST = 4.0  # s of a record that can be checked
 
 
 def check_sensors(
-    full: CandidateModel,
+    full: selection_state.CandidateModel,
     responses: FlightPathError,
     theta: Float[np.ndarray, " k"],
     *,
@@ -184,7 +162,7 @@ def check_sensors(
         after = consistent_across_blocks(after)  # several errors, too, if stretches bear them out
         return widened(extension, after)
 
-    extension = plausible(without, without_hold)
+    extension = selection.plausible(without, without_hold)
     first = (extension, *extension.larger)[-1]
     return extension if extension is first or nats_gained(first, extension) > -full.settings.decisive else first
 
@@ -195,10 +173,10 @@ def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int =
         raise InputError(why)
     flights = _flights(records, card)
     plain = Model((), (), axes=tuple(Axis), lengths=lengths_of(flights.aircraft))
-    whole = candidate_model(plain, flights, tuple(own_effects(card.effect_files).values()))
+    whole = selection_state.candidate_model(plain, flights, tuple(own_effects(card.effect_files).values()))
     sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters), axes=tuple(Axis))
-    full = CandidateModel(model, (), sensors, {})
+    full = selection_state.CandidateModel(model, (), sensors, {})
     return check_sensors(full, FlightPathError.of(flights, model), full.neutral_vector, seed=seed)
 
 
@@ -262,9 +240,9 @@ class Blocks:
         S, B = (self._centred(state.scaled[:, :, columns]) for columns in (own, others))
         if not np.all(np.any(S != 0.0, axis=(0, 1))):
             return None
-        both = partialled(np.concatenate([S, self.left[:, :, None]], axis=2), B, self.weight)
+        both = selection_state.partialled(np.concatenate([S, self.left[:, :, None]], axis=2), B, self.weight)
         S, left = both[:, :, :-1], both[:, :, -1]
-        bread = inverse(np.einsum("mci,c,mcj->ij", S, self.weight, S, optimize=True))
+        bread = selection_state.inverse(np.einsum("mci,c,mcj->ij", S, self.weight, S, optimize=True))
         step = bread @ np.einsum("mci,c,mc->i", S, self.weight, left, optimize=True)
         rows = np.einsum("mci,c,mc->mi", S, self.weight, left - S @ step, optimize=True)
         return step, bread @ cluster_covariance(rows, self._own) @ bread
@@ -290,7 +268,7 @@ def consistent_across_blocks(state: SelectionState) -> SelectionState:
         worst = max(chances, key=lambda effect: chances[effect])
         if chances[worst] <= state.settings.block_false_alarm_rate:
             break
-        state = refitted(removed(state, worst))
+        state = selection_state.refitted(removed(state, worst))
     return state
 
 
@@ -308,7 +286,7 @@ def widened(extension: Extension, state: SelectionState) -> Extension:
         for s in last.candidate_scores
     )
     closing = SelectionStep(None, float("nan"), replace(last, candidate_scores=scores))
-    causes, minor = worth(state, estimates)
+    causes, minor = selection.worth(state, estimates)
     steps = (*extension.steps, closing)
     return replace(extension, state=state, steps=steps, sizes=estimates, causes=causes, minor=minor)
 
@@ -325,7 +303,7 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
     state, settings = extension.state, extension.state.settings
     effects, columns, gram, right = _information_of_errors(state)
     # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
-    covariance = inverse(gram + np.diag(state.precision[columns]))
+    covariance = selection_state.inverse(gram + np.diag(state.precision[columns]))
     among = np.sqrt(state.variance_inflation * np.diag(covariance))
     jointly = covariance @ (right + gram @ state.departure[columns])
     screening = extension.steps[-1].screening
@@ -339,7 +317,7 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
         else:  # were it the only one; and whether one worth a name would explain much of what is left if confirmed
             mean, sd = float(standing.step[0]), float(standing.sd[0])
             clear = standing.score >= settings.least_score and standing.log_bayes > 0.0 and abs(mean) >= least
-            asked = clear and explained(state, standing) >= settings.open_share
+            asked = clear and selection.explained(state, standing) >= settings.open_share
         wide = max(sd, float(among[place]))
         there = max(least, abs(mean)) if standing is None else least
         nearest = (p for p in _nearest(gram, effects, place, settings, there) if p[1] >= settings.imitated)
@@ -360,7 +338,7 @@ def _information_of_errors(state: SelectionState) -> tuple[list[Effect], np.ndar
     columns = state.full.columns([e.parameters[0].name for e in effects])
     X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
     weight = 1.0 / state.best.variance
-    X = partialled(X, begin, weight)
+    X = selection_state.partialled(X, begin, weight)
     right = np.einsum("mci,c,mc->i", X, weight, state.left()[state.inside])
     return effects, columns, np.einsum("mci,c,mcj->ij", X, weight, X), right
 
@@ -378,7 +356,7 @@ def with_several_instead(state: SelectionState) -> SelectionState:
         for together, share in _nearest(gram, effects, place, state.settings, least):
             if len(together) < 2 or share < state.settings.imitated or set(together) & set(others):
                 continue
-            wider = refitted(moved(state, neutral, (*others, *together)))
+            wider = selection_state.refitted(moved(state, neutral, (*others, *together)))
             gained = nats(state.best.deviance - wider.best.deviance, state.variance_inflation)
             if gained - (len(together) - 1) * math.log(len(state.full.candidates)) > state.settings.decisive:
                 return with_several_instead(wider)
@@ -393,11 +371,11 @@ def _nearest(
     def share(others: Sequence[int]) -> float:
         """Share of what the error does that `others` do; none if they must be too large."""
         at = np.array(others)
-        factors = inverse(gram[np.ix_(at, at)]) @ gram[at, place]
+        factors = selection_state.inverse(gram[np.ix_(at, at)]) @ gram[at, place]
         largest = np.array([effects[k].sizes[effects[k].parameters[0].name][1] for k in others])
         if np.any(np.abs(factors) * size > largest):
             return 0.0
-        return float(factors @ gram[at, place]) / max(float(gram[place, place]), TINY)
+        return float(factors @ gram[at, place]) / max(float(gram[place, place]), selection_state.TINY)
 
     chosen: list[int] = []
     for _ in range(settings.imitators):

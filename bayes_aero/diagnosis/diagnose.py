@@ -12,22 +12,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
-from bayes_aero.diagnosis import result, selection
+from bayes_aero.diagnosis import result, selection, selection_state
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts, open_errors
 from bayes_aero.diagnosis.design import narrowed
 from bayes_aero.diagnosis.screening import CandidateScore, lag1_within, screen, uncertainty
 from bayes_aero.diagnosis.search import Search, SearchResult, lacking
-from bayes_aero.diagnosis.selection_state import (
-    DEFAULT,
-    CandidateModel,
-    DiagnosisSettings,
-    SelectionState,
-    by_manoeuvre,
-    inverse,
-    moved,
-    quiet,
-    refitted,
-)
+from bayes_aero.diagnosis.selection_state import DEFAULT, DiagnosisSettings, SelectionState, moved, quiet, refitted
 from bayes_aero.effect import Effect, Kind
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card import Card
@@ -152,7 +142,7 @@ def causes_of(
 
 
 def _causes_in(
-    full: CandidateModel,
+    full: selection_state.CandidateModel,
     stage: str,
     extension: selection.Extension,
     names: Sequence[str],
@@ -350,7 +340,7 @@ def own_share(state: SelectionState, effect: str) -> float:
         return float("nan")
     S = state.scaled[state.inside][:, :, fit.columns[at]]
     squares = np.einsum("mci,c->i", (S - S.mean(axis=0)) ** 2, 1.0 / fit.variance)
-    uncertain = np.diag(inverse(fit.normal - np.diag(state.precision[fit.columns])))[at]
+    uncertain = np.diag(selection_state.inverse(fit.normal - np.diag(state.precision[fit.columns])))[at]
     return float(np.max(1.0 / np.maximum(squares * uncertain, 1.0)))
 
 
@@ -426,7 +416,7 @@ def view_of(diagnosis: result.Diagnosis) -> result.DiagnosisView:
         extended=extended,
         measured=signals["measured"],
         manoeuvre=flights.manoeuvre,
-        time=np.concatenate([t - t[0] for t in by_manoeuvre(flights.time, flights)]),
+        time=np.concatenate([t - t[0] for t in selection_state.by_manoeuvre(flights.time, flights)]),
         names=flights.names,
         channels=channels,
         parameters=card.state.full.model.parameters,
@@ -644,7 +634,7 @@ def band_of(flights: Flights) -> Band:
     times, reach = sampling_times(flights), 0.0
     low = PERIODS / min(n * dt for n, dt in zip(flights.lengths, times, strict=True))
     for name in (name for name in ("p", "q", "r") if name in flights.recorded):
-        for x, dt in zip(by_manoeuvre(np.asarray(flights.channels[name]), flights), times, strict=True):
+        for x, dt in zip(selection_state.by_manoeuvre(np.asarray(flights.channels[name]), flights), times, strict=True):
             power = np.abs(np.fft.rfft(x - x.mean())) ** 2
             if power.sum() > 0.0:
                 share = np.cumsum(power) / power.sum()

@@ -13,22 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linprog
 
-from bayes_aero.diagnosis import screening
+from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.result import Absorbed, CancellingPair, Confirmation, Size
 from bayes_aero.diagnosis.screening import CandidateScore, ScreeningResult, screen, uncertainty
-from bayes_aero.diagnosis.selection_state import (
-    DEFAULT,
-    DiagnosisSettings,
-    Products,
-    SelectionState,
-    by_manoeuvre,
-    inverse,
-    local_fit,
-    moved,
-    optimum,
-    quiet,
-    refitted,
-)
+from bayes_aero.diagnosis.selection_state import SelectionState, by_manoeuvre, inverse, moved, quiet, refitted
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.flight.health import noise_of
 from bayes_aero.inference.covariance import log_density, log_score_gain, median_inflation, nats
@@ -506,7 +494,8 @@ def noise_effect(state: SelectionState) -> tuple[Float[np.ndarray, " k"], ...]:
         channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
         there = replace(state, responses=state.responses.with_channels(channels))
         # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
-        return local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0].step[: len(at)]
+        stepped, _ = selection_state.local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)
+        return stepped.step[: len(at)]
 
     drawn = ({name: sd * rng.standard_normal(flights.n) for name, sd in noise.items()} for _ in range(PAIRS))
     there, back = np.array([(step(extra), step(extra, -1.0)) for extra in drawn]).transpose(1, 0, 2)
@@ -615,9 +604,8 @@ class LeftOut:
     @classmethod
     def refitted(cls, state: SelectionState) -> LeftOut:
         """With the effects that are in, every fit brought to its own optimum."""
-        steps = state.settings.hold_out_steps
-        residual = state.responses.holdout(state.folds, lambda others: optimum(state, others, steps), state.outputs)
-        return cls._of(state, residual)
+        fitted = partial(selection_state.optimum, state, most=state.settings.hold_out_steps)
+        return cls._of(state, state.responses.holdout(state.folds, fitted, state.outputs))
 
     @classmethod
     def first_order(cls, state: SelectionState, effects: Sequence[str]) -> LeftOut:
@@ -719,7 +707,7 @@ def addition_gain(state: SelectionState, wide: np.ndarray) -> float:
 
 
 def integrated_deviance(
-    products: Products, prior: tuple, inflation: float, fold: int, columns: np.ndarray, card: np.ndarray
+    products: selection_state.Products, prior: tuple, inflation: float, fold: int, columns: np.ndarray, card: np.ndarray
 ) -> float:
     """Deviance of a fold by these columns, those beyond the card's integrated out over their posterior elsewhere."""
     others, at = products.without(fold).fit(columns, *prior), np.flatnonzero(~np.isin(columns, card))
@@ -742,7 +730,7 @@ Predicted = Callable[[Sequence[str]], LeftOut]  # unseen data as the model with 
 
 
 def backward_elimination(
-    additions: Sequence[str], first_order: Predicted, refitted: Predicted, settings: DiagnosisSettings = DEFAULT
+    additions: Sequence[str], first_order: Predicted, refitted: Predicted, settings: selection_state.DiagnosisSettings
 ) -> Confirmation:
     """Each addition in turn, least missed to first order first, is taken out and everything fitted again. What stays is
     missed by `settings.hold_out` standard errors of its log density and degrades no output."""

@@ -19,22 +19,11 @@ from jaxtyping import Float, Int
 from scipy.special import chdtrc
 
 from bayes_aero.diagnosis import components as shapes
-from bayes_aero.diagnosis import screening
+from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.components import SAME, TermColumn, Trial, columns_of, holdout_gain_of, in_batches, likeness
 from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm, Size, UnexplainedStructure
 from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed, truncated
-from bayes_aero.diagnosis.selection_state import (
-    Component,
-    DiagnosisSettings,
-    Products,
-    RegressionFit,
-    SelectionState,
-    inverse,
-    moved,
-    optimum,
-    quiet,
-    refitted,
-)
+from bayes_aero.diagnosis.selection_state import Component, DiagnosisSettings, Products, SelectionState, moved, refitted
 from bayes_aero.effect import Kind
 from bayes_aero.inference.covariance import nats
 from bayes_aero.progress import Progress
@@ -95,7 +84,7 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
         from_first = np.eye(len(at))[1:] - np.eye(len(at))[0]
         covariance = screening.uncertainty(state)[np.ix_(at, at)]
         size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
-        p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
+        p = float(chdtrc(len(size), size @ selection_state.inverse(covariance) @ size))
         if p > state.settings.block_false_alarm_rate:
             continue
         deviation = np.sqrt(np.diag(covariance))
@@ -443,7 +432,7 @@ class _Model:
         return (*components_of(self.terms), *self.functions)
 
     @cached_property
-    def fitted(self) -> tuple[RegressionFit, Float[np.ndarray, "m c"]]:
+    def fitted(self) -> tuple[selection_state.RegressionFit, Float[np.ndarray, "m c"]]:
         """The fit of `wide` and what it leaves, from the columns that are in alone."""
         state, bases, columns = self.state, [one.basis for one in self.components], self.state.columns()
         S = np.concatenate([state.S[:, :, columns], *bases], axis=2) / state.noise_growth[:, :, None]
@@ -491,7 +480,7 @@ class _Model:
         return model
 
     def refitted(self) -> _Model:
-        return replace(self, state=moved(self.state, optimum(self.wide, range(len(self.state.folds)))))
+        return replace(self, state=moved(self.state, selection_state.optimum(self.wide, range(len(self.state.folds)))))
 
     def eliminated(self, items: Sequence[str], curves: Sequence[Component]) -> _Model:
         """Without what does not earn its cost, the least useful first; functions may take the place of causes."""
@@ -533,7 +522,7 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     return forms._replace(unknown=described(left.unknown, forms))
 
 
-def flown_forms(extension: Extension, *, seed: int, progress: Progress = quiet) -> Forms:
+def flown_forms(extension: Extension, *, seed: int, progress: Progress = selection_state.quiet) -> Forms:
     """Terms of all coefficients for what an extended model leaves of trajectories or innovations."""
     progress("terms", 0.0)
     instead, terms = contest(extension), list[SelectedTerm]()

@@ -114,7 +114,7 @@ def test_additions_go_out_the_least_missed_first_and_are_fitted_again_in_doubt(g
         return Told(effects, gains, of_Cm)
 
     first_order = partial(Told, gains={name: factor * x for name, x in gains.items()}, of_Cm=of_Cm)
-    found = backward_elimination(tuple(gains), first_order, again)
+    found = backward_elimination(tuple(gains), first_order, again, DEFAULT)
     assert "".join(found.kept) == kept
     assert refits == refitted or of_Cm
     assert found.harmed == ({} if kept != "b" else of_Cm and {"a": {"Cm": of_Cm["a"]}})
@@ -143,7 +143,7 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
             paths = [part(SimulatedManoeuvre, measured=x, **rest) for x in halves]
             return left_out_of(paths, flown, 2.0)
 
-        found = backward_elimination(("rudder_moment",), unseen, unseen)
+        found = backward_elimination(("rudder_moment",), unseen, unseen, DEFAULT)
     else:
         monkeypatch.setattr(LeftOut, "first_order", lambda state, effects: LeftOut._of(state, left(effects)))
         monkeypatch.setattr(LeftOut, "refitted", lambda told: LeftOut._of(told[0], left(told[1])))
