@@ -316,11 +316,8 @@ def polynomials(state: SelectionState, coefficient: str) -> list[Component]:
     alpha, *others = (q for q in QUANTITIES if q is not THRUST and all(map(able, q.channels)))
     if alpha.name != "alpha":
         return []
-    factors = [q for q in others if q.lateral == lateral]
-    of = {
-        f"{q.name} times a polynomial of alpha": [ProductTerm((alpha,) * k + (q,)) for k in range(DEGREES)]
-        for q in factors
-    }
+    factors = {f"{q.name} times a polynomial of alpha": q for q in others if q.lateral == lateral}
+    of = {name: [ProductTerm((alpha,) * k + (q,)) for k in range(DEGREES)] for name, q in factors.items()}
     of |= {} if lateral else {"a polynomial of alpha": [ProductTerm((alpha,) * k) for k in range(2, 2 + DEGREES)]}
     wanted = [t for terms in of.values() for t in terms]
     basis = {c.term.name: c.component.basis for c in columns_of(state, coefficient, wanted)}

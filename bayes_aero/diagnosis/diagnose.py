@@ -392,10 +392,8 @@ def view_of(diagnosis: result.Diagnosis) -> result.DiagnosisView:
     """Both models; of coefficients without any correction of the sensors in the card's, at the recorded rate."""
     if not diagnosis.by_coefficients:
         units = {p.name: p.unit for p in diagnosis.aerodynamics.state.full.model.free}
-        moves = {  # of the card's parameters before, the standard errors are not known
-            name: result.ParameterMove(a, b, float("nan"), sd, units[name])
-            for name, (a, b, sd) in diagnosis.base_moves.items()
-        }
+        before, nan = diagnosis.base_moves, float("nan")  # whose standard errors are not known
+        moves = {name: result.ParameterMove(a, b, nan, sd, units[name]) for name, (a, b, sd) in before.items()}
         deviations = {name: move.sd_after for name, move in moves.items()}
         shown = {"rankings": rankings_of(diagnosis), "moves": moves}
         covariance = joint_covariance(diagnosis.aerodynamics, deviations, diagnosis.causes)

@@ -142,7 +142,6 @@ def _offsets_instead(state: SelectionState, winner: CandidateScore) -> tuple[str
 
 
 def sized(extension: Extension) -> Extension:
-    """What was added, with sizes, and which of it are causes."""
     state, names = extension.state, extension.state.full.model.names
     errors = screening.jackknife_errors(state, state.responses.stretch)
     least = {names[c]: float(x) for c, x in zip(state.best.columns, errors, strict=True) if c < len(names)}
@@ -490,7 +489,6 @@ def noise_effect(state: SelectionState) -> tuple[Float[np.ndarray, " k"], ...]:
     at = fit.columns[parameters]
 
     def step(extra: Mapping[str, np.ndarray], sign: float = 1.0) -> np.ndarray:
-        """The Gauss-Newton step from the optimum with more noise."""
         channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
         there = replace(state, responses=state.responses.with_channels(channels))
         # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
@@ -649,7 +647,6 @@ class LeftOut:
         return {n: log_score_gain(x, y, self.variance_inflation, self.lengths) for n, x, y in pairs}
 
     def scores(self, measured: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
-        """Scores of each coefficient over everything left out, against what was recorded (blocks of about 5 Hz)."""
         return scores_of(self.names, measured[self.inside], self.residual[self.inside])
 
 

@@ -49,10 +49,9 @@ DRAWS = 40  # of the posterior, for the probability of staying inside the tolera
 
 
 def label(flown: SegmentTrajectories, row: int) -> str:
-    name = flown.flights.names[int(flown.manoeuvre[row])]
-    if len(flown.flights.lengths) > 1 or len(flown.index) == 1:
-        return name
-    return f"{name}, {'first' if row == 0 else 'second'} half"
+    whole = len(flown.flights.lengths) > 1 or len(flown.index) == 1
+    half = "" if whole else ", first half" if row == 0 else ", second half"
+    return flown.flights.names[int(flown.manoeuvre[row])] + half
 
 
 def simulated(
@@ -320,10 +319,8 @@ def with_lag(
     hysteresis = [e for e in model.effects if e.stage is Stage.INCIDENCE and "incidence" in e.example.increments]
     neutral = {name: x for e in hysteresis for name, x in e.neutral_values.items()}
     # Hysteresis not below none: beside a lag it would be a lead that cancels it, and mean nothing.
-    bounded = [
-        replace(p, bounds=(max(neutral[p.name], p.bounds[0]), p.bounds[1])) if p.name in neutral else p
-        for p in model.parameters
-    ]
+    least = {p.name: max(neutral.get(p.name, -np.inf), p.bounds[0]) for p in model.parameters}
+    bounded = [replace(p, bounds=(least[p.name], p.bounds[1])) for p in model.parameters]
     flown, earlier = extended.fit.flown, extended.fit.flown.dynamics
     dynamics = flight.aircraft_dynamics(replace(model, parameters=tuple(bounded)), flown.flights)
     dynamics = replace(dynamics, biased=earlier.biased, lengths=earlier.lengths)
@@ -627,21 +624,17 @@ def fit_trajectories(
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
         paths = simulated(first, whole, result.START, result.START, np.zeros_like(fit.departure), tolerances)
         paths += simulated(fit.estimate, whole, result.FITTED, result.FITTED, fit.departure, tolerances)
-    begins = zip(dynamics.start, map(float, output_error.initial_state_sd(dynamics)), strict=True)
-    prior_sd = dict(begins) if setting.priors and setting.initial is None else {}
-    return result.TrajectoryFit(
-        fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), noise_growth, setting,
-        by_effects=by_effects, of_path=isinstance(dynamics, flight.PathDynamics), departure_sd=prior_sd,
-    )  # fmt: skip
-
-
-def _initial(fit: output_error.OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:
     wide, theta, initial = replace(fit.flown, outputs=shown), jnp.asarray(fit.estimate), {}
     for row, away in enumerate(fit.departure):  # one by one as the paths, for which it is compiled already
         begin = output_error.trajectories(wide.part([row]), theta, jnp.asarray(away[None])).begin
         pairs = zip(map(float, np.asarray(begin)[0]), map(float, away), strict=True)
         initial[label(fit.flown, row)] = dict(zip(fit.flown.dynamics.start, pairs, strict=True))
-    return initial
+    begins = zip(dynamics.start, map(float, output_error.initial_state_sd(dynamics)), strict=True)
+    prior_sd = dict(begins) if setting.priors and setting.initial is None else {}
+    return result.TrajectoryFit(
+        fit, first, tuple(paths), initial, inflation, shown, dict(units), noise_growth, setting,
+        by_effects=by_effects, of_path=isinstance(dynamics, flight.PathDynamics), departure_sd=prior_sd,
+    )  # fmt: skip
 
 
 # --- What a diagnosis by trajectories alone has tested: does the simulation miss more than measurement noise?
@@ -650,18 +643,10 @@ def _initial(fit: output_error.OutputErrorResult, shown: tuple[str, ...]) -> dic
 # absolute scale.
 
 
-def with_tested(
-    diagnosis: result.Diagnosis, flown: result.Trajectories | None, records: Sequence[FlightRecord], card: Card
-) -> result.Diagnosis:
-    """The diagnosis by trajectories, judged on hold-out flights; `flown` is its extended model, None if not flown."""
-    tested = result.Tested({} if flown is None else beyond_noise(flown, records, card))
-    return diagnosis.judged(tested=tested)
-
-
-def beyond_noise(
-    flown: result.Trajectories, records: Sequence[FlightRecord], card: Card
-) -> dict[str, result.OutputMiss]:
-    """What the extended model misses of every fitted output (root mean squares, SI), and the noise that is allowed."""
+def beyond_noise(flown: result.Trajectories | None, records: Sequence[FlightRecord], card: Card) -> result.Tested:
+    """What the extended model misses of each fitted output (root mean squares, SI), and the noise; empty: not flown."""
+    if flown is None:
+        return result.Tested({})
     noises, lengths = [sensor_noise(channels_of(record, card), card)[0] for record in records], [r.n for r in records]
 
     def rms(output: str, split: str) -> float:
@@ -673,7 +658,7 @@ def beyond_noise(
     for name in flown.fitted:
         noise = float(np.sqrt(np.average([n.get(name, 0.0) ** 2 for n in noises], weights=lengths)))
         misses[name] = result.OutputMiss(noise, rms(name, "fitted"), rms(name, "hold_out"))
-    return misses
+    return result.Tested(misses)
 
 
 # --- The same parameters from the coefficients and from trajectories: where the two fits of one record disagree.

@@ -691,7 +691,6 @@ def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> di
 
 
 def _sizes_beside(model: _Model, causes: Sequence[str]) -> dict[str, Size]:
-    """Parameters of causes beside terms and polynomials, to first order."""
     wide = model.wide
     fit, free = wide.best, wide.full.model.free
     sds = np.sqrt(np.diag(screening.uncertainty(wide)))

@@ -37,6 +37,7 @@ from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Envelope, required_of
 from bayes_aero.processes import cores
 from bayes_aero.progress import Progress
+from bayes_aero.qualification import FlightKind
 from bayes_aero.residuals.equation_error import EquationError
 
 Vector = Float[np.ndarray, " k"]
@@ -202,13 +203,6 @@ DRAWS = 40  # for the mean square that parameters or gusts explain
 FAR = 1e30  # of a flight that left the envelope
 
 
-class HoldOut(NamedTuple):
-    """Errors (w, n, c) of manoeuvres that were not fitted, and the mean squares (c,) that parameters explain, SI."""
-
-    errors: Float[np.ndarray, "w n c"]
-    explained: Float[np.ndarray, " c"]
-
-
 @dataclass(frozen=True)
 class Uncertain:
     """What is not known of a model."""
@@ -218,8 +212,9 @@ class Uncertain:
     following: Float[np.ndarray, "m k"] | None = None
     """Of the next flight's; None where their scatter between manoeuvres is not known. They are used where they do not
     make flights differ by more than flights left out did."""
-    hold_out: HoldOut | None = None
-    """Errors of manoeuvres that were not fitted; None: those of the fitted ones stand for them."""
+    hold_out: tuple[Float[np.ndarray, "w n c"], Float[np.ndarray, " c"]] | None = None
+    """Errors of manoeuvres that were not fitted, and the mean squares of them that parameters explain, SI; None: errors
+    of the fitted ones stand for them."""
     fitted: bool = True  # to these trajectories, whose errors then do not hold those of the parameters
     gusts: Mapping[str, float] = field(default_factory=dict)  # intensities and lengths by parameter; empty in calm air
     met: bool = True  # whether the records met these gusts, so that their errors hold them
@@ -229,7 +224,7 @@ class Uncertain:
 class OpenTest:
     """An undecided test: what drawn parameters and all else add to each of m flights at n samples, SI."""
 
-    kind: qualification.FlightKind
+    kind: FlightKind
     manoeuvre: str
     output: str
     tolerance: float
@@ -261,7 +256,7 @@ class QualifiedFlights(NamedTuple):
 
 
 # A manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain.
-_Case = tuple[qualification.FlightKind, SegmentTrajectories, int, Float[np.ndarray, "m k"], Structure]
+_Case = tuple[FlightKind, SegmentTrajectories, int, Float[np.ndarray, "m k"], Structure]
 
 
 def qualify(
@@ -282,7 +277,7 @@ def qualify(
         judged += results
         strips.append(strip)
         undecided += still if case[3] is unknown.draws else []
-        if case[0] is qualification.FlightKind.NEXT:
+        if case[0] is FlightKind.NEXT:
             scattered = case[3] is unknown.following
     return QualifiedFlights(tuple(judged), tuple(strips), scattered, tuple(undecided))
 
@@ -308,7 +303,7 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
 
     by_gusts = explained(unknown.draws, gusts=True) if unknown.gusts and unknown.met else nothing
     own = nothing if unknown.fitted else explained(unknown.draws)
-    held = unknown.hold_out or HoldOut(fitted, own)
+    unseen, explained_unseen = unknown.hold_out or (fitted, own)
 
     def structure(error: Float[np.ndarray, "w n c"], explained: Float[np.ndarray, " c"]) -> Structure:
         shown, least = (np.mean(x[flown.inside] ** 2, axis=0) for x in (error, fitted))
@@ -317,21 +312,19 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), taken)
 
     again = structure(fitted, own)
-    cases: list[_Case] = [
-        (qualification.FlightKind.AGAIN, flown, k, unknown.draws, again) for k in range(len(flown.index))
-    ]
-    left_out = structure(held.errors, held.explained)
+    cases: list[_Case] = [(FlightKind.AGAIN, flown, k, unknown.draws, again) for k in range(len(flown.index))]
+    left_out = structure(unseen, explained_unseen)
     if tests is not None:
-        cases += [(qualification.FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
+        cases += [(FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
     if unknown.following is None and unknown.hold_out is None:
         return cases
     draws, ahead = unknown.draws, left_out
     if unknown.following is not None:
         scatter = explained(unknown.following)
-        shown = np.mean(held.errors[flown.inside] ** 2, axis=0)
+        shown = np.mean(unseen[flown.inside] ** 2, axis=0)
         if np.median(scatter / np.maximum(shown, 1e-300)) <= 1.0 or unknown.hold_out is None:
-            draws, ahead = unknown.following, structure(held.errors, scatter)
-    cases += [(qualification.FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
+            draws, ahead = unknown.following, structure(unseen, scatter)
+    cases += [(FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
     return cases
 
 
@@ -352,7 +345,7 @@ def _judged(
     chances, limits = {}, np.array([bands[n] for n in outputs])
     for counted in ("parameters", "structure", *(("gusts",) if unknown.gusts else ())):
         if counted == "structure":
-            recorded = error if kind is qualification.FlightKind.AGAIN else None
+            recorded = error if kind is FlightKind.AGAIN else None
             flights = flights + structure.draws(len(flights), separated, dt, rng, recorded)
         if counted == "gusts":
             flights = flights + gust_spread(alone, draws, unknown.gusts, rng)
@@ -364,7 +357,7 @@ def _judged(
     for c, output in enumerate(outputs):
         beside = qualification.RecordBeside(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
         by = {counted: each[c] for counted, each in chances.items()}
-        shown = None if kind is qualification.FlightKind.NEXT else beside
+        shown = None if kind is FlightKind.NEXT else beside
         tests.append(qualification.Test(kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
         if tests[-1].chance.verdict is qualification.ToleranceVerdict.UNDECIDED:
             parts = by_parameters[:, keep, c], rest[:, keep, c]
@@ -428,10 +421,8 @@ def further_flights(
         full = CandidateModel(model, tuple(e.name for e in model.effects if e.parameters), (), {})
         state = linearised(full, EquationError.of(flights, model), model.coefficients, full.vector(values))
         variants = variants_of(state, (), envelope)
-        possible = [
-            point._replace(information=precision_of(point.information, names, scale[moving]))
-            for point in possible_points(state, variants, (), noise_of(state), envelope)
-        ]
+        flown = possible_points(state, variants, (), noise_of(state), envelope)
+        possible = [x._replace(information=precision_of(x.information, names, scale[moving])) for x in flown]
         refused = refused_points(variants, envelope)
         points = best_points(possible, np.zeros_like(first), nats=nats, expected=expected, decided=decided)
     pairs = zip(tests, known, strict=True)
@@ -476,7 +467,9 @@ def fits_without(fit: OutputErrorResult, noise: FlightNoise) -> list[OutputError
     return [fit_without for _, fit_without in left_out([candidate], silent, noise)]
 
 
-def hold_out(wide: SegmentTrajectories, fits: list[OutputErrorResult], inflation: float, seed: int) -> HoldOut | None:
+def hold_out(
+    wide: SegmentTrajectories, fits: list[OutputErrorResult], inflation: float, seed: int
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Errors of every manoeuvre by the fit without it; None where one of these fits cannot fly it."""
     unseen, explained = [], []
     for k, fit in enumerate(fits):
@@ -487,7 +480,7 @@ def hold_out(wide: SegmentTrajectories, fits: list[OutputErrorResult], inflation
         draws = posterior_draws(fit, inflation, seed, DRAWS)
         unseen.append(error[0])
         explained.append(mean_square(spread(alone, fit.estimate, draws)[:, alone.inside[0]]))
-    return HoldOut(np.stack(unseen), np.average(explained, axis=0, weights=wide.inside.sum(axis=1)))
+    return np.stack(unseen), np.average(explained, axis=0, weights=wide.inside.sum(axis=1))
 
 
 def mean_square(apart: Float[np.ndarray, "m n c"]) -> Float[np.ndarray, " c"]:

@@ -215,7 +215,7 @@ def test_errors_are_judged_by_the_noise_that_the_card_states(card):
     flown = halves(record)
     for sd, beyond in ((np.radians(0.1), False), (np.radians(0.02), True)):
         stated = replace(card, sensors={"alpha": sd, "airspeed": 0.3})
-        found = beyond_noise(flown, [record], stated)["alpha"]
+        found = beyond_noise(flown, [record], stated).outputs["alpha"]
         assert found.noise == pytest.approx(sd)
         assert found.fitted == pytest.approx(np.radians(0.1))
         assert found.beyond is beyond
