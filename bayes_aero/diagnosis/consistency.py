@@ -102,11 +102,9 @@ def errors_of_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
     causes = {c.name: c for c in diagnosis.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
     named_causes = {c.name for c in (*diagnosis.causes, *diagnosis.beyond)}
     undecided = () if diagnosis.sensors is None else open_errors(diagnosis.sensors)
-    return KnownErrors(
-        tuple(named[name] for name in causes),
-        {name: _plain(named[name], cause.parameters, cause.joint, minor=False) for name, cause in causes.items()},
-        tuple(e for e in undecided if e.name not in named_causes),
-    )
+    plain = {name: _plain(named[name], cause.parameters, cause.joint, minor=False) for name, cause in causes.items()}
+    still = tuple(e for e in undecided if e.name not in named_causes)
+    return KnownErrors(tuple(named[name] for name in causes), plain, still)
 
 
 def _plain(effect: Effect, estimates: Mapping[str, Size], joint: Mapping[str, float], *, minor: bool) -> dict[str, Any]:

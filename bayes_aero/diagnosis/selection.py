@@ -729,8 +729,7 @@ Predicted = Callable[[Sequence[str]], LeftOut]  # unseen data as the model with 
 def backward_elimination(
     additions: Sequence[str], first_order: Predicted, refitted: Predicted, settings: selection_state.DiagnosisSettings
 ) -> Confirmation:
-    """Each addition in turn, least missed to first order first, is taken out and everything fitted again. What stays is
-    missed by `settings.hold_out` standard errors of its log density and degrades no output."""
+    """Each addition in turn, least missed to first order first, is taken out and everything fitted again."""
 
     def gain(without: LeftOut, whole: LeftOut) -> tuple[float, float]:
         return whole.gain(without) if without.flyable else (np.inf, 0.0)

@@ -1,5 +1,4 @@
-"""Structure that no effect of the catalogue explains but that a recorded channel, a period, a parameter that changes or
-terms of a library do.
+"""Structure that no effect explains but that a recorded channel, a period, a changing parameter or terms do.
 
 A smooth function of each channel, a sinusoid, or the change, is a candidate like an effect. It is taken for real
 only if its score is beyond noise-only replicates and it predicts data left out.
