@@ -131,7 +131,7 @@ def aircraft(seed: int, manoeuvres: int) -> list[tuple[str, float, float]]:
     each = alone_fits(fit, without, noise.variance_inflation)
     following = next_parameters(each, noise.variance_inflation, DRAWS, seed)
     draws = posterior_draws(fit, noise.variance_inflation, seed, DRAWS)
-    size = np.sqrt(np.mean(np.asarray(held.errors if held else 1.0) ** 2, axis=(0, 1)))
+    size = np.sqrt(np.mean(np.asarray(held[0] if held else 1.0) ** 2, axis=(0, 1)))
     bands = dict(zip(OUTPUTS, size * np.exp(rng.uniform(np.log(BANDS[0]), np.log(BANDS[1]), 3)), strict=True))
     tests = qualify(flown, flown, Uncertain(fit.estimate, draws, following, held), bands, seed=seed).tests
     limits, passed = np.array([*bands.values()]), {}

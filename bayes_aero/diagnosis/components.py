@@ -11,22 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_aero.diagnosis import screening
+from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.result import ParameterChange, ProductTerm, TermFactor
 from bayes_aero.diagnosis.selection import holdout_deviance_gain, recording_noise
-from bayes_aero.diagnosis.selection_state import (
-    TINY,
-    Component,
-    RegressionFit,
-    SelectionState,
-    constants_of_manoeuvres,
-    inverse,
-    manoeuvres,
-    moved,
-    moves,
-    noise_channels,
-    optimum,
-)
+from bayes_aero.diagnosis.selection_state import Component, RegressionFit, SelectionState, inverse, manoeuvres, moves
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.flight.health import noise_of
 from bayes_aero.inference.covariance import ORDER, nats
@@ -174,7 +162,7 @@ def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Compone
 def smooth_components(state: SelectionState) -> list[Component]:
     """A smooth function, in each coefficient, of every recorded channel that moves and is more than white noise."""
     signals, flights, knots = state.responses.predict(state.theta), state.responses.flights, state.settings.knots
-    skipped = (*SKIPPED, *noise_channels(flights))
+    skipped = (*SKIPPED, *selection_state.noise_channels(flights))
     names = [n for n in (*flights.recorded, "elapsed", "X") if n in signals and n not in skipped]
     components = []
     for name in (n for n in names if moves(signals[n], flights, 1e-6)):
@@ -194,7 +182,6 @@ def _smooth(x: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, "m w"]:
 
 
 def periodic_components(state: SelectionState) -> list[Component]:
-    """A sinusoid of each period and free phase in each manoeuvre, in each coefficient."""
     elapsed = np.asarray(state.responses.block(state.responses.flights.channels["elapsed"]))
     manoeuvre, seconds, components = state.responses.manoeuvre, state.responses.seconds, []
     longest = np.bincount(manoeuvre).min() * seconds  # of which every manoeuvre shows a whole one
@@ -224,7 +211,7 @@ def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
     if len(state.responses.flights.lengths) == 1 or not left or not has_chunks(state):
         return ()
     folds, of = chunks(state), (state.full, state.responses.manoeuvre, state.outputs, state.S)
-    components = [Component(c, "manoeuvre", constants_of_manoeuvres(*of, c)[:, :, 1:]) for c in left]
+    components = [Component(c, "manoeuvre", selection_state.constants_of_manoeuvres(*of, c)[:, :, 1:]) for c in left]
     whole, differing = state.with_components(components, (), folds), []
     for component in components:
         trial = Trial(state, component, (), folds)
@@ -232,9 +219,6 @@ def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
         if enough and trial.chance([whole], seed) <= settings.unnamed_false_alarm_rate:
             differing.append(component.coefficient)
     return tuple(differing)
-
-
-# --- The folds by which components must predict.
 
 
 def parts_of(state: SelectionState, count: int) -> tuple[slice, ...]:
@@ -251,9 +235,6 @@ def chunks(state: SelectionState) -> tuple[slice, ...]:
 def has_chunks(state: SelectionState) -> bool:
     """Whether every manoeuvre is long enough for a sinusoid to be fitted to parts of it and predict the others."""
     return all(part.stop - part.start > ORDER for part in chunks(state))
-
-
-# --- Components in a regression.
 
 
 def in_batches(state: SelectionState, components: Sequence[Component], folds: Sequence[slice]) -> list[list[Component]]:
@@ -282,13 +263,8 @@ class Trial:
     def fit(self) -> RegressionFit:
         return self.state.fit(self.wide)
 
-    @property
-    def left(self) -> Rows:
-        return self.state.left(self.fit)
-
     @cached_property
     def share(self) -> float:
-        """Share of a coefficient's remaining variance that it takes away, at best over the coefficients."""
         return float(np.max(1.0 - self.fit.variance / self.state.best.variance))
 
     @cached_property
@@ -297,13 +273,9 @@ class Trial:
 
     def chance(self, among: Sequence[SelectionState], seed: int) -> float:
         """How often noise of the colour that is left alone lets some component of these explain as large a share."""
-        colour = screening.autocorrelation_of(self.left, self.state.folds)
-        return screening.chance_of(
-            self.share, np.max([screening.null_shares(x, colour, self.fit.variance, seed) for x in among], axis=0)
-        )
-
-
-# --- The library's terms, and polynomials, as columns of a regression.
+        colour = screening.autocorrelation_of(self.state.left(self.fit), self.state.folds)
+        nulls = [screening.null_shares(x, colour, self.fit.variance, seed) for x in among]
+        return screening.chance_of(self.share, np.max(nulls, axis=0))
 
 
 @dataclass(frozen=True)
@@ -344,11 +316,8 @@ def polynomials(state: SelectionState, coefficient: str) -> list[Component]:
     alpha, *others = (q for q in QUANTITIES if q is not THRUST and all(map(able, q.channels)))
     if alpha.name != "alpha":
         return []
-    factors = [q for q in others if q.lateral == lateral]
-    of = {
-        f"{q.name} times a polynomial of alpha": [ProductTerm((alpha,) * k + (q,)) for k in range(DEGREES)]
-        for q in factors
-    }
+    factors = {f"{q.name} times a polynomial of alpha": q for q in others if q.lateral == lateral}
+    of = {name: [ProductTerm((alpha,) * k + (q,)) for k in range(DEGREES)] for name, q in factors.items()}
     of |= {} if lateral else {"a polynomial of alpha": [ProductTerm((alpha,) * k) for k in range(2, 2 + DEGREES)]}
     wanted = [t for terms in of.values() for t in terms]
     basis = {c.term.name: c.component.basis for c in columns_of(state, coefficient, wanted)}
@@ -393,7 +362,7 @@ def likeness(state: SelectionState, effects: Sequence[str], column: TermColumn) 
 
 def _able(state: SelectionState, signals: Signals) -> Callable[[str], bool]:
     flights = state.responses.flights
-    noise = noise_channels(flights)
+    noise = selection_state.noise_channels(flights)
     return lambda channel: channel in signals and channel not in noise and moves(signals[channel], flights, 1e-6)
 
 
@@ -435,7 +404,7 @@ def sought_change(
         return None
     # All active parameters at their optimum with it beside them.
     wide, folds = state.with_components((), [*chosen, first[0]]), manoeuvres(state.responses.manoeuvre)
-    state = moved(state, optimum(wide, range(len(state.folds))))
+    state = selection_state.moved(state, selection_state.optimum(wide, range(len(state.folds))))
     whole, wider = state.with_components((), chosen, folds), Trial(state, first[0], chosen, folds).fit
     # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
     held = whole.fit(held=wider.variance)
@@ -448,7 +417,7 @@ def sought_change(
         return None
     # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
     noise = screening.SharedNoise(seed, folds, len(state.outputs), settings)
-    colour = screening.autocorrelation_of(trial.left, folds)
+    colour = screening.autocorrelation_of(trial.state.left(trial.fit), folds)
     again = [scan.without_leader(x) for x in screening.noise_records(whole, held, colour, noise.correction)]
     colour = screening.unbiased(colour, screening.autocorrelations_of(np.array(again), folds))
     nulls = [scan.statistic(x) for x in screening.noise_records(whole, held, colour, noise.replicates)]
@@ -500,7 +469,8 @@ def _by_noise(trial: Trial, scan: ChangeScan, place: tuple[int, int], unit: floa
     elsewhere = float(trial.state.theta[column] + trial.fit.step[at])
     values = elsewhere + unit * float(trial.fit.step[-1]), elsewhere
     shares = scan.noise_shares[:, place[0], place[1]]
-    least, most = np.sort([np.array([x, x / max(1.0 - 2.0 * s, TINY)]) for x, s in zip(values, shares, strict=True)]).T
+    pairs = zip(values, shares, strict=True)
+    least, most = np.sort([np.array([x, x / max(1.0 - 2.0 * s, 1e-300)]) for x, s in pairs]).T
     return bool(np.max(least) <= np.min(most))
 
 
@@ -585,8 +555,8 @@ class ChangeScan:
             inside, outside = cross[:, p], total - cross[:, p]
             a, b = own[:, p] - form(inside, inside), whole[p] - own[:, p] - form(outside, outside)
             c = -form(inside, outside)
-            information = np.stack([a - c**2 / np.maximum(b, TINY), b - c**2 / np.maximum(a, TINY)])
-            shares[:, :, p] = noise[:, :, p] / np.maximum(information, TINY)
+            information = np.stack([a - c**2 / np.maximum(b, 1e-300), b - c**2 / np.maximum(a, 1e-300)])
+            shares[:, :, p] = noise[:, :, p] / np.maximum(information, 1e-300)
         return shares
 
     def _summed(self, x: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
@@ -646,7 +616,7 @@ def reported_change(
     """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
     span, column = change.scan.over[change.at[0]], int(change.scan.columns[change.at[1]])
     begin, parameter = int(np.argmax(state.responses.manoeuvre == span.manoeuvre)), state.full.model.free[column]
-    before, after, size = _sizes(state, change, chosen, column)
+    sizes = dict(zip(("before", "after", "size"), _sizes(state, change, chosen, column), strict=True))
     nearest, rivals, inflation = _as_good(state, change)
     seconds, scores = state.responses.seconds, [] if election is None else election.candidate_scores
     effects = [s.effect for s in scores if nats(change.gain - s.gain, inflation) < state.settings.ambiguous]
@@ -657,9 +627,7 @@ def reported_change(
         at=(span.begin - begin) * seconds,  # a block is as fine as it gets
         interval=(max(nearest[0] - 1 - begin, 0) * seconds, (nearest[1] + 1 - begin) * seconds),
         lasts=span.end == len(state.residual),
-        before=before,
-        after=after,
-        size=size,
+        **sizes,
         share=change.share,
         p_value=change.p_value,
         gain=nats(change.gained, inflation),

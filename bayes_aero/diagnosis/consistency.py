@@ -12,34 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.fft import next_fast_len
 
+from bayes_aero.diagnosis import selection, selection_state
 from bayes_aero.diagnosis.result import Diagnosis, Size
 from bayes_aero.diagnosis.screening import largest_p_value, screen
-from bayes_aero.diagnosis.selection import (
-    Extension,
-    SelectionStep,
-    correlated,
-    explained,
-    nats_gained,
-    plausible,
-    removed,
-    selected,
-    sizes,
-    without_hold,
-    worth,
-)
-from bayes_aero.diagnosis.selection_state import (
-    TINY,
-    CandidateModel,
-    DiagnosisSettings,
-    SelectionState,
-    by_manoeuvre,
-    candidate_model,
-    inverse,
-    linearised,
-    moved,
-    partialled,
-    refitted,
-)
+from bayes_aero.diagnosis.selection import Extension, SelectionStep, nats_gained, removed, selected, sizes, without_hold
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings, SelectionState, by_manoeuvre, linearised, moved
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
@@ -89,14 +66,22 @@ def consistency(
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> Flights:
-    return despiked(as_the_card_states(joined(records, card, PATH_CORE), card))[0]
+    """Without the errors of the record that the card states."""
+    flights = joined(records, card, PATH_CORE)
+    if card.linear is None:
+        model = Model.from_card(card)
+        stated, fixed = [e for e in model.effects if e.stage is Stage.CHANNEL], dict(model.fixed)
+        values = {p.name: fixed.get(p.name, p.start) for e in stated for p in e.parameters}
+        flights = with_corrections(flights, Model.of(stated, axes=tuple(Axis)), values) if stated else flights
+    return despiked(flights)[0]
 
 
 def errors_of_path(known: Extension) -> KnownErrors:
     """Errors of sensors and winds that a search along the flight path has found, minor ones included."""
     # One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
     # estimated together with such a one is no error by itself, either.
-    everything, joint, out = (known, *known.larger), correlated(known, known.state.active), without_hold(known)
+    everything, out = (known, *known.larger), without_hold(known)
+    joint = selection.correlated(known, known.state.active)
     named = {e.name: e for extension in everything for e in extension.state.full.candidates}
     effects = [named[name] for name in (*known.causes, *known.minor) if name not in out]
     plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in effects}
@@ -117,11 +102,9 @@ def errors_of_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
     causes = {c.name: c for c in diagnosis.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
     named_causes = {c.name for c in (*diagnosis.causes, *diagnosis.beyond)}
     undecided = () if diagnosis.sensors is None else open_errors(diagnosis.sensors)
-    return KnownErrors(
-        tuple(named[name] for name in causes),
-        {name: _plain(named[name], cause.parameters, cause.joint, minor=False) for name, cause in causes.items()},
-        tuple(e for e in undecided if e.name not in named_causes),
-    )
+    plain = {name: _plain(named[name], cause.parameters, cause.joint, minor=False) for name, cause in causes.items()}
+    still = tuple(e for e in undecided if e.name not in named_causes)
+    return KnownErrors(tuple(named[name] for name in causes), plain, still)
 
 
 def _plain(effect: Effect, estimates: Mapping[str, Size], joint: Mapping[str, float], *, minor: bool) -> dict[str, Any]:
@@ -156,7 +139,7 @@ SHORTEST = 4.0  # s of a record that can be checked
 
 
 def check_sensors(
-    full: CandidateModel,
+    full: selection_state.CandidateModel,
     responses: FlightPathError,
     theta: Float[np.ndarray, " k"],
     *,
@@ -177,7 +160,7 @@ def check_sensors(
         after = consistent_across_blocks(after)  # several errors, too, if stretches bear them out
         return widened(extension, after)
 
-    extension = plausible(without, without_hold)
+    extension = selection.plausible(without, without_hold)
     first = (extension, *extension.larger)[-1]
     return extension if extension is first or nats_gained(first, extension) > -full.settings.decisive else first
 
@@ -188,10 +171,10 @@ def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int =
         raise InputError(why)
     flights = _flights(records, card)
     plain = Model((), (), axes=tuple(Axis), lengths=lengths_of(flights.aircraft))
-    whole = candidate_model(plain, flights, tuple(own_effects(card.effect_files).values()))
+    whole = selection_state.candidate_model(plain, flights, tuple(own_effects(card.effect_files).values()))
     sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters), axes=tuple(Axis))
-    full = CandidateModel(model, (), sensors, {})
+    full = selection_state.CandidateModel(model, (), sensors, {})
     return check_sensors(full, FlightPathError.of(flights, model), full.neutral_vector, seed=seed)
 
 
@@ -208,15 +191,6 @@ def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
         return f"{need}; map it, or state what did not move under [constants]"
     short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
     return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""
-
-
-def as_the_card_states(flights: Flights, card: Card) -> Flights:
-    if card.linear is not None:
-        return flights
-    model = Model.from_card(card)
-    stated, fixed = [e for e in model.effects if e.stage is Stage.CHANNEL], dict(model.fixed)
-    values = {p.name: fixed.get(p.name, p.start) for e in stated for p in e.parameters}
-    return flights if not stated else with_corrections(flights, Model.of(stated, axes=tuple(Axis)), values)
 
 
 def with_corrections(flights: Flights, model: Model, values: Mapping[str, Any]) -> Flights:
@@ -264,9 +238,9 @@ class Blocks:
         S, B = (self._centred(state.scaled[:, :, columns]) for columns in (own, others))
         if not np.all(np.any(S != 0.0, axis=(0, 1))):
             return None
-        both = partialled(np.concatenate([S, self.left[:, :, None]], axis=2), B, self.weight)
+        both = selection_state.partialled(np.concatenate([S, self.left[:, :, None]], axis=2), B, self.weight)
         S, left = both[:, :, :-1], both[:, :, -1]
-        bread = inverse(np.einsum("mci,c,mcj->ij", S, self.weight, S, optimize=True))
+        bread = selection_state.inverse(np.einsum("mci,c,mcj->ij", S, self.weight, S, optimize=True))
         step = bread @ np.einsum("mci,c,mc->i", S, self.weight, left, optimize=True)
         rows = np.einsum("mci,c,mc->mi", S, self.weight, left - S @ step, optimize=True)
         return step, bread @ cluster_covariance(rows, self._own) @ bread
@@ -292,7 +266,7 @@ def consistent_across_blocks(state: SelectionState) -> SelectionState:
         worst = max(chances, key=lambda effect: chances[effect])
         if chances[worst] <= state.settings.block_false_alarm_rate:
             break
-        state = refitted(removed(state, worst))
+        state = selection_state.refitted(removed(state, worst))
     return state
 
 
@@ -310,7 +284,7 @@ def widened(extension: Extension, state: SelectionState) -> Extension:
         for s in last.candidate_scores
     )
     closing = SelectionStep(None, float("nan"), replace(last, candidate_scores=scores))
-    causes, minor = worth(state, estimates)
+    causes, minor = selection.worth(state, estimates)
     steps = (*extension.steps, closing)
     return replace(extension, state=state, steps=steps, sizes=estimates, causes=causes, minor=minor)
 
@@ -327,7 +301,7 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
     state, settings = extension.state, extension.state.settings
     effects, columns, gram, right = _information_of_errors(state)
     # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
-    covariance = inverse(gram + np.diag(state.precision[columns]))
+    covariance = selection_state.inverse(gram + np.diag(state.precision[columns]))
     among = np.sqrt(state.variance_inflation * np.diag(covariance))
     jointly = covariance @ (right + gram @ state.departure[columns])
     screening = extension.steps[-1].screening
@@ -341,7 +315,7 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
         else:  # were it the only one; and whether one worth a name would explain much of what is left if confirmed
             mean, sd = float(standing.step[0]), float(standing.sd[0])
             clear = standing.score >= settings.least_score and standing.log_bayes > 0.0 and abs(mean) >= least
-            asked = clear and explained(state, standing) >= settings.open_share
+            asked = clear and selection.explained(state, standing) >= settings.open_share
         wide = max(sd, float(among[place]))
         there = max(least, abs(mean)) if standing is None else least
         nearest = (p for p in _nearest(gram, effects, place, settings, there) if p[1] >= settings.imitated)
@@ -357,15 +331,12 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
 
 def _information_of_errors(state: SelectionState) -> tuple[list[Effect], np.ndarray, np.ndarray, np.ndarray]:
     """Errors of one parameter that move the flight path, their columns, information, and what is left for them."""
-    effects = [
-        e
-        for e in state.full.candidates
-        if len(e.parameters) == 1 and not e.scan and e.sizes and np.any(state.S[:, :, state.full.own_columns(e.name)])
-    ]
+    single = [e for e in state.full.candidates if len(e.parameters) == 1 and not e.scan and e.sizes]
+    effects = [e for e in single if np.any(state.S[:, :, state.full.own_columns(e.name)])]
     columns = state.full.columns([e.parameters[0].name for e in effects])
     X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
     weight = 1.0 / state.best.variance
-    X = partialled(X, begin, weight)
+    X = selection_state.partialled(X, begin, weight)
     right = np.einsum("mci,c,mc->i", X, weight, state.left()[state.inside])
     return effects, columns, np.einsum("mci,c,mcj->ij", X, weight, X), right
 
@@ -383,12 +354,9 @@ def with_several_instead(state: SelectionState) -> SelectionState:
         for together, share in _nearest(gram, effects, place, state.settings, least):
             if len(together) < 2 or share < state.settings.imitated or set(together) & set(others):
                 continue
-            wider = refitted(moved(state, neutral, (*others, *together)))
-            choice = (len(together) - 1) * math.log(len(state.full.candidates))
-            if (
-                nats(state.best.deviance - wider.best.deviance, state.variance_inflation) - choice
-                > state.settings.decisive
-            ):
+            wider = selection_state.refitted(moved(state, neutral, (*others, *together)))
+            gained = nats(state.best.deviance - wider.best.deviance, state.variance_inflation)
+            if gained - (len(together) - 1) * math.log(len(state.full.candidates)) > state.settings.decisive:
                 return with_several_instead(wider)
     return state
 
@@ -401,11 +369,11 @@ def _nearest(
     def share(others: Sequence[int]) -> float:
         """Share of what the error does that `others` do; none if they must be too large."""
         at = np.array(others)
-        factors = inverse(gram[np.ix_(at, at)]) @ gram[at, place]
+        factors = selection_state.inverse(gram[np.ix_(at, at)]) @ gram[at, place]
         largest = np.array([effects[k].sizes[effects[k].parameters[0].name][1] for k in others])
         if np.any(np.abs(factors) * size > largest):
             return 0.0
-        return float(factors @ gram[at, place]) / max(float(gram[place, place]), TINY)
+        return float(factors @ gram[at, place]) / max(float(gram[place, place]), selection_state.TINY)
 
     chosen: list[int] = []
     for _ in range(settings.imitators):
@@ -465,7 +433,6 @@ class _RecordedPath:
         return residuals
 
     def local(self, x: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r w c"]:
-        """Root mean squares within windows, about a line in each."""
         parts = []
         for part in (x[:, window] for window in self.windows):
             n = part.shape[1]

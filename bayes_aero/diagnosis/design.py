@@ -46,7 +46,6 @@ class Ambiguity:
     enough: float = ENOUGH
 
     def pairs(self, information: Information) -> list[float]:
-        """Deviations of each pair, the lesser of both directions."""
         deviations = information.without(self.foreign).deviations(self.signals)
         return [float(min(deviations[a, b], deviations[b, a])) for a, b in combinations(self.effects, 2)]
 

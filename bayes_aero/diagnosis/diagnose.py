@@ -12,22 +12,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
-from bayes_aero.diagnosis import result, selection
+from bayes_aero.diagnosis import result, selection, selection_state
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts, open_errors
 from bayes_aero.diagnosis.design import narrowed
 from bayes_aero.diagnosis.screening import CandidateScore, lag1_within, screen, uncertainty
-from bayes_aero.diagnosis.search import Search, SearchResult
-from bayes_aero.diagnosis.selection_state import (
-    DEFAULT,
-    CandidateModel,
-    DiagnosisSettings,
-    SelectionState,
-    by_manoeuvre,
-    inverse,
-    moved,
-    quiet,
-    refitted,
-)
+from bayes_aero.diagnosis.search import Search, SearchResult, lacking
+from bayes_aero.diagnosis.selection_state import DEFAULT, DiagnosisSettings, SelectionState, moved, quiet, refitted
 from bayes_aero.effect import Effect, Kind
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card import Card
@@ -64,7 +54,8 @@ def diagnose(
     gusts = in_gusts(records, card, seed) if settings.process_noise is None else {}
     candidates = (*own_effects(card.effect_files).values(), *extra)
     search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress or quiet)
-    searched = search.made(by_innovations=bool(settings.process_noise or gusts))
+    by_model = search.trajectories if lacking(records, card) else search.coefficients
+    searched = search.innovations() if settings.process_noise or gusts else by_model()
     stages, state = searched.stages, searched.model.state
     kept_of, failed = {stage: extension.state.active for stage, extension in stages.items()}, ()
     if settings.gains and searched.testable_now:
@@ -72,21 +63,18 @@ def diagnose(
     else:
         candidates = causes_of(searched, {}, quiet)
     # Offsets between manoeuvres are in the model beside the causes.
-    hardly = stand_ins(candidates, stages, [structure for structure in searched.unknown if not structure.offsets])
+    hardly = stand_ins(candidates, stages, {u.coefficient for u in searched.unknown if not u.offsets})
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
     unknown = (*searched.unknown, *structure_of(searched, (*unnamed, *beyond)))
     kept = tuple(name for name in kept_of[state.responses.stage] if name not in {c.name for c in beyond})
     causes, beyond = without_conditional(causes, beyond)
     pairs = [selection.cancelling(x, [c.name for c in causes if c.stage == stage]) for stage, x in stages.items()]
+    of_sensors = searched.sensors.minor if searched.sensors else ()
     same: dict[str, Any] = {n: getattr(searched, n) for n in ("noise", "not_testable", "sensors", "changes", "terms")}
     return result.Diagnosis(
         verdict=result.Verdict.UNDECIDED,
         causes=causes,
-        minor=(
-            *(searched.sensors.minor if searched.sensors else ()),
-            *searched.model.minor,
-            *(c.name for c in unnamed),
-        ),
+        minor=(*of_sensors, *searched.model.minor, *(c.name for c in unnamed)),
         unknown=unknown,
         aerodynamics=searched.model,
         split=selection.split_name(state),
@@ -154,7 +142,7 @@ def causes_of(
 
 
 def _causes_in(
-    full: CandidateModel,
+    full: selection_state.CandidateModel,
     stage: str,
     extension: selection.Extension,
     names: Sequence[str],
@@ -162,7 +150,6 @@ def _causes_in(
     measured: Mapping[str, result.Gain],
     forms: Mapping[str, tuple[str, float]],
 ) -> list[result.Cause]:
-    """Some causes of one extension."""
     causes, state = list[result.Cause](), extension.state
     if not names:
         return causes
@@ -246,12 +233,8 @@ def rivals_of(
     out = {*worse, *(n for larger in extension.larger for n in larger.implausible)}
     for standing in screen(state, without=name).candidate_scores:
         able = standing.score > state.settings.least_rival_score and not selection.mixes_noise(state, standing)
-        able = (
-            able
-            and standing.effect not in out
-            and not selection.implausible_candidate(effects[standing.effect], standing)
-        )
-        if standing.effect == name or able:
+        able = able and not selection.implausible_candidate(effects[standing.effect], standing)
+        if standing.effect == name or (able and standing.effect not in out):
             best.setdefault(standing.effect, standing)
     if name not in best:
         return 1.0, ()
@@ -263,7 +246,6 @@ def rivals_of(
 
 
 def sensors_not_missed(diagnosis: result.Diagnosis, flights: result.Confirmation) -> result.Confirmation:
-    """Errors of sensors that coefficients confirm and held-out flights do not miss."""
     # Coefficients are a regression on recorded channels, whose noise bends it as an error of a sensor may. A simulated
     # flight has no regressors.
     measured = {c.name for c in diagnosis.causes if c.kind == Kind.MEASUREMENT and c.stage == result.COEFFICIENTS}
@@ -284,8 +266,6 @@ def judged_on_held_out_flights(
     return diagnosis.judged(causes=tuple(map(judged, diagnosis.causes)))
 
 
-# --- What every cause gains on hold-out data beside the causes before it.
-
 NOTHING = (float("nan"), float("nan"))
 Pairs = dict[str, tuple[selection.LeftOut, selection.LeftOut]]  # hold-out data without and with each cause
 NO_GAIN = result.Gain(*NOTHING, "not measured", {}, {})
@@ -299,7 +279,6 @@ def gains_of(
     nuisances = [name for name in extension.minor if name in kept]
 
     def chain(left_out: Callable[[list[str]], selection.LeftOut]) -> tuple[selection.LeftOut, Pairs]:
-        """Hold-out data without any cause, and without and with each."""
         base = before = left_out([])
         pairs, sure = Pairs(), list[str]()
         for number, name in enumerate(causes):
@@ -320,7 +299,6 @@ def gains_of(
     card, gains = aerodynamics.base, {}
 
     def corrected(sensors: Sequence[str]) -> selection.LeftOut:
-        """The card's fit of the coefficients with these corrections of sensors alone."""
         theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
         return selection.LeftOut.refitted(moved(card, theta, ()))
 
@@ -346,11 +324,8 @@ def rival_gains(
             effect = next(e for e in other.full.candidates if e.name == rival)
             values = dict(zip(other.full.model.names, map(float, other.theta), strict=True))
             fitted = {p.name: result.Size(values[p.name], 0.0, p.unit) for p in effect.parameters if p.name in values}
-            gains[rival] = (
-                (-math.inf, 0.0)
-                if selection.implausible(effect, fitted)
-                else selection.LeftOut.refitted(other).gain(reference)
-            )
+            too_large = selection.implausible(effect, fitted)
+            gains[rival] = (-math.inf, 0.0) if too_large else selection.LeftOut.refitted(other).gain(reference)
     return gains
 
 
@@ -365,7 +340,7 @@ def own_share(state: SelectionState, effect: str) -> float:
         return float("nan")
     S = state.scaled[state.inside][:, :, fit.columns[at]]
     squares = np.einsum("mci,c->i", (S - S.mean(axis=0)) ** 2, 1.0 / fit.variance)
-    uncertain = np.diag(inverse(fit.normal - np.diag(state.precision[fit.columns])))[at]
+    uncertain = np.diag(selection_state.inverse(fit.normal - np.diag(state.precision[fit.columns])))[at]
     return float(np.max(1.0 / np.maximum(squares * uncertain, 1.0)))
 
 
@@ -378,23 +353,16 @@ def attributed(
         few = 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely)
         return few and c.name not in stand_ins
 
-    rest = [c for c in causes if not c.implausible]
-    return (
-        tuple(c for c in rest if named(c)),
-        tuple(c for c in causes if c.implausible),
-        tuple(c for c in rest if not named(c)),
-    )
+    beyond, rest = tuple(c for c in causes if c.implausible), [c for c in causes if not c.implausible]
+    return tuple(filter(named, rest)), beyond, tuple(c for c in rest if not named(c))
 
 
 def stand_ins(
-    causes: Sequence[result.Cause],
-    extensions: Mapping[str, selection.Extension],
-    unknown: Sequence[result.UnexplainedStructure],
+    causes: Sequence[result.Cause], extensions: Mapping[str, selection.Extension], unnamed: Collection[str]
 ) -> tuple[str, ...]:
-    """Causes that the record hardly excites, where the output that they move most has structure without a name."""
+    """Causes that the record hardly excites, where the output that they move most has structure `unnamed`."""
     # Small errors of the model change their estimates strongly, and there the model is shown to be wrong.
-    left = {u.coefficient for u in unknown}
-    return tuple(c.name for c in causes if c.hardly_excited and _output(extensions[c.stage], c.name) in left)
+    return tuple(c.name for c in causes if c.hardly_excited and _output(extensions[c.stage], c.name) in unnamed)
 
 
 def _output(extension: selection.Extension, name: str, step: CandidateScore | None = None) -> str:
@@ -421,23 +389,15 @@ RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces mak
 
 
 def view_of(diagnosis: result.Diagnosis) -> result.DiagnosisView:
-    """What is shown of a diagnosis, whichever way the model met the record."""
-    if diagnosis.by_coefficients:
-        return coefficient_view(diagnosis)
-    units = {p.name: p.unit for p in diagnosis.aerodynamics.state.full.model.free}
-    moves = {  # of the card's parameters before, the standard errors are not known
-        name: result.ParameterMove(a, b, float("nan"), sd, units[name])
-        for name, (a, b, sd) in diagnosis.base_moves.items()
-    }
-    deviations = {name: move.sd_after for name, move in moves.items()}
-    covariance = joint_covariance(diagnosis.aerodynamics, deviations, diagnosis.causes)
-    return result.DiagnosisView(
-        diagnosis=diagnosis, rankings=rankings_of(diagnosis), moves=moves, covariance=covariance
-    )
-
-
-def coefficient_view(diagnosis: result.Diagnosis) -> result.View:
-    """Refit the card's model without any correction of the sensors, and evaluate both models at the recorded rate."""
+    """Both models; of coefficients without any correction of the sensors in the card's, at the recorded rate."""
+    if not diagnosis.by_coefficients:
+        units = {p.name: p.unit for p in diagnosis.aerodynamics.state.full.model.free}
+        before, nan = diagnosis.base_moves, float("nan")  # whose standard errors are not known
+        moves = {name: result.ParameterMove(a, b, nan, sd, units[name]) for name, (a, b, sd) in before.items()}
+        deviations = {name: move.sd_after for name, move in moves.items()}
+        shown = {"rankings": rankings_of(diagnosis), "moves": moves}
+        covariance = joint_covariance(diagnosis.aerodynamics, deviations, diagnosis.causes)
+        return result.DiagnosisView(diagnosis=diagnosis, covariance=covariance, **shown)
     last, sensors = diagnosis.aerodynamics, diagnosis.sensors
     before, after = last.base, last.state
     if sensors is not None and sensors.state.active:
@@ -454,7 +414,7 @@ def coefficient_view(diagnosis: result.Diagnosis) -> result.View:
         extended=extended,
         measured=signals["measured"],
         manoeuvre=flights.manoeuvre,
-        time=np.concatenate([t - t[0] for t in by_manoeuvre(flights.time, flights)]),
+        time=np.concatenate([t - t[0] for t in selection_state.by_manoeuvre(flights.time, flights)]),
         names=flights.names,
         channels=channels,
         parameters=card.state.full.model.parameters,
@@ -465,7 +425,6 @@ def coefficient_view(diagnosis: result.Diagnosis) -> result.View:
 
 
 def with_stalls(view: result.View) -> result.View:
-    """The same with the stall of the card's model, and of the extended one where there is one."""
     models, stalls = {"card": view.card, "extended": view.extended} if view.changed else {"card": view.card}, {}
     for name, fitted in models.items():  # parameters are drawn from the normal distribution of their estimates
         model, flights = fitted.state.full.model, fitted.state.responses.flights
@@ -492,9 +451,7 @@ def _fitted(state: SelectionState, measured: Float[np.ndarray, "n c"], channels:
         scores, parts = score(z, z - e), result.theil_parts(z, z - e)
         within = {f"{p:g}": np.abs(standard[:, c]) <= stats.norm.ppf(0.5 + p / 2) for p in result.LEVELS}
         composition[name] = {
-            "r": scores.r,
-            "rmse": scores.rmse,
-            "r2": scores.r2,
+            **{key: getattr(scores, key) for key in ("r", "rmse", "r2")},
             "theil": parts.theil,
             **{f"theil_{part}": getattr(parts, part) for part in ("bias", "variance", "covariance")},
             "lag1": lag1_within(e, manoeuvre),
@@ -510,7 +467,6 @@ LEAST = 1e-3  # of the residual's size, that a deviation counts as at least: a s
 def profiles(
     residual: np.ndarray, channels: Mapping[str, np.ndarray], inflation: float
 ) -> list[result.ResidualProfile]:
-    """How the residual depends on each channel, the clearest first."""
     dependences, bins = [], max(1, min(BINS, len(residual) // 2))  # of two blocks: they have a deviation
     least = max(LEAST * float(np.sqrt(np.mean(residual**2))), 1e-300)
     for name, x in channels.items():
@@ -536,9 +492,6 @@ def _moves(before: result.Fitted, after: result.Fitted) -> dict[str, result.Para
     return moves
 
 
-# --- The covariance of a fitted model's estimates, with what a diagnosis adds to it for its causes.
-
-
 def covariance_of(model: result.Fitted | selection.Extension) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
     """Which parameters were fitted, and the covariance of their estimates that coloured residuals leave."""
     columns = model.state.best.columns
@@ -558,9 +511,6 @@ def joint_covariance(
     variance = np.diag(covariance)
     beyond = [max(reported.get(name, 0.0) ** 2 - own, 0.0) for name, own in zip(names, variance, strict=True)]
     return names, 0.5 * (covariance + covariance.T) + np.diag(beyond)  # symmetric but for rounding
-
-
-# --- Both models of a diagnosis on each manoeuvre, in the fit and on hold-out data.
 
 
 def holdout_scores(view: result.View) -> result.HoldoutScores:
@@ -585,11 +535,7 @@ def with_holdout_scores(view: result.View) -> result.View:
 
 
 def compared(
-    before: selection.LeftOut,
-    after: selection.LeftOut,
-    state: SelectionState,
-    measured: Float[np.ndarray, "m c"],
-    manoeuvre: int,
+    before: selection.LeftOut, after: selection.LeftOut, state: SelectionState, measured: np.ndarray, manoeuvre: int
 ) -> dict[str, result.Compared]:
     """`after` against `before` on one manoeuvre, by coefficient; its blocks' order and colour are kept."""
     here = (state.responses.manoeuvre == manoeuvre) & before.inside
@@ -601,9 +547,6 @@ def compared(
         return float(x.sum()), standard_error_of_sum(x, [len(x)])
 
     return {n: result.Compared(*summed(density[:, c]), *summed(squares[:, c])) for c, n in enumerate(state.outputs)}
-
-
-# --- The candidates of every stage in the order of their scores, as tables and figures show them.
 
 
 def rankings_of(diagnosis: result.Diagnosis) -> tuple[result.Ranking, ...]:
@@ -689,7 +632,7 @@ def band_of(flights: Flights) -> Band:
     times, reach = sampling_times(flights), 0.0
     low = PERIODS / min(n * dt for n, dt in zip(flights.lengths, times, strict=True))
     for name in (name for name in ("p", "q", "r") if name in flights.recorded):
-        for x, dt in zip(by_manoeuvre(np.asarray(flights.channels[name]), flights), times, strict=True):
+        for x, dt in zip(selection_state.by_manoeuvre(np.asarray(flights.channels[name]), flights), times, strict=True):
             power = np.abs(np.fft.rfft(x - x.mean())) ** 2
             if power.sum() > 0.0:
                 share = np.cumsum(power) / power.sum()

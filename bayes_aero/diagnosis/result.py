@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
@@ -72,7 +71,6 @@ class Cause:
 
     @property
     def bounded(self) -> tuple[str, ...]:
-        """Parameters whose fit wants to go on beyond their bounds."""
         return tuple(name for name, size in self.parameters.items() if size.at_bound)
 
     @property
@@ -187,7 +185,6 @@ class Diagnosis:
     absorbed: tuple[Absorbed, ...] = ()  # parameters of controls at rest, and effects that they may have taken up
 
     def judged(self, **changes: Any) -> Diagnosis:
-        """With some parts changed, and the verdict that follows."""
         d = replace(self, **changes)
         return replace(d, verdict=verdict_of(d.causes, d.left, d.tested, d.noise, d.absorbed))
 
@@ -202,7 +199,6 @@ class Diagnosis:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters of the card's model and of every candidate."""
         return self.aerodynamics.state.full.model.parameters
 
 
@@ -225,9 +221,6 @@ def verdict_of(
     # Where a parameter may have taken up an effect, its absence is not decided.
     open_ = coloured or (tested is not None and tested.beyond) or absorbed
     return Verdict.UNDECIDED if open_ else Verdict.NO_EFFECT
-
-
-# --- What a check of records has found, before anything is fitted.
 
 
 @dataclass(frozen=True)
@@ -262,9 +255,6 @@ class CheckReport:
         return not any(r.problems for r in self.records) and "" in self.uses.values()
 
 
-# --- Sizes of the causes in a band of frequencies, as plain data.
-
-
 @dataclass(frozen=True)
 class SizeInBand:
     """A parameter of a cause, SI: in the band and of the coefficients, each with its standard error."""
@@ -285,9 +275,6 @@ class CausesInBand:
     sizes: tuple[SizeInBand, ...]
     unseen: tuple[str, ...]  # parameters of causes that the band does not show
     converged: bool  # whether the fit did
-
-
-# --- What is reported of a form found for structure that no effect of the catalogue explains.
 
 
 @dataclass(frozen=True)
@@ -430,45 +417,26 @@ class Setting:
 
 @dataclass(frozen=True)
 class TrajectoryFit:
-    """A fit to whole manoeuvres, in SI and radians.
+    """A fit to whole manoeuvres, in SI and radians."""
 
-    Attributes:
-        fit: `OutputErrorResult`: estimates (k,), standard errors and status.
-        start: first values of the parameters, (k,).
-        paths: simulated manoeuvres of the model `start` (first values, measured initial state) or `fitted`.
-        initial: by manoeuvre and state, the value at the first sample and its departure from the measured one.
-        variance_inflation: variance inflation of the residuals; NaN if the model left the envelope.
-        outputs: all recorded outputs; those fitted are in `fit`.
-        units: SI units by channel.
-        noise_growth: noise growth in fully separated flow, by fitted output.
-        setting: settings of the fit.
-        frequency: fits of the same parameters in a band, where one was asked for.
-        frequency_responses: measured and modelled frequency responses there.
-        following: surfaces that only follow the outputs, of which and the aircraft the fit is one of many.
-        by_effects: whether the model is one of effects; otherwise it is a linear system, or the flight path.
-        of_path: whether recorded accelerations and rates were flown, without a model of the aircraft.
-        departure_sd: by state, the prior standard deviation of its departure from the measured one, where it has one.
-    """
-
-    fit: Any
-    start: Float[np.ndarray, " k"]
-    paths: tuple[SimulatedManoeuvre, ...]
-    initial: Mapping[str, Mapping[str, Value]]
-    variance_inflation: float
-    outputs: tuple[str, ...]
-    units: Mapping[str, str]
-    noise_growth: Mapping[str, float] = field(default_factory=dict)
+    fit: Any  # `OutputErrorResult`: estimates (k,), standard errors and status
+    start: Float[np.ndarray, " k"]  # first values of the parameters
+    paths: tuple[SimulatedManoeuvre, ...]  # of `start` (first values, measured initial state) and of `fitted`
+    initial: Mapping[str, Mapping[str, Value]]  # by manoeuvre and state: at the first sample, departure from measured
+    variance_inflation: float  # of the residuals; NaN if the model left the envelope
+    outputs: tuple[str, ...]  # all that were recorded; those fitted are in `fit`
+    units: Mapping[str, str]  # SI, by channel
+    noise_growth: Mapping[str, float] = field(default_factory=dict)  # in fully separated flow, by fitted output
     setting: Setting = field(default_factory=Setting)
-    frequency: tuple[FrequencyFit, ...] = ()
-    frequency_responses: tuple[FrequencyResponse, ...] = ()
-    following: tuple[str, ...] = ()
-    by_effects: bool = True
-    of_path: bool = False
-    departure_sd: Mapping[str, float] = field(default_factory=dict)
+    frequency: tuple[FrequencyFit, ...] = ()  # of the same parameters in a band, where one was asked for
+    frequency_responses: tuple[FrequencyResponse, ...] = ()  # measured and modelled there
+    following: tuple[str, ...] = ()  # surfaces that only follow the outputs: with them the fit is one of many
+    by_effects: bool = True  # whether the model is one of effects; else a linear system, or the flight path
+    of_path: bool = False  # whether recorded accelerations and rates were flown, without a model of the aircraft
+    departure_sd: Mapping[str, float] = field(default_factory=dict)  # prior deviation from the measured state, by state
 
     @property
     def window(self) -> float:
-        """Length of the windows of the first fits, s."""
         return self.setting.window
 
     @property
@@ -544,18 +512,12 @@ class ProcessNoise:
 
     @property
     def preferred(self) -> bool:
-        """Whether it describes the record better than output error does."""
         return self.converged and self.gain > 0.0
 
     @property
     def coloured(self) -> tuple[str, ...]:
         """Outputs with neighbouring innovations that are correlated: something is not modelled."""
         return tuple(name for name, r in self.autocorrelation.items() if abs(r) > COLOURED_INNOVATIONS)
-
-
-# --- Modes of motion of a fitted model.
-
-HALF = math.log(2.0)
 
 
 @dataclass(frozen=True)
@@ -735,7 +697,6 @@ class Size:
 
     @property
     def ci95(self) -> Value:
-        """Mean -+ 1.96 deviations."""
         return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
 
 
@@ -772,13 +733,9 @@ class NoiseReport:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Which of colored, buffet, outliers are present."""
-        present = {
-            "colored": bool(self.coloured),
-            "buffet": max(self.noise_growth.values()) > 1.5,
-            "outliers": sum(self.outliers.values()) > 0,
-        }
-        return tuple(name for name, there in present.items() if there)
+        buffet, outliers = max(self.noise_growth.values()) > 1.5, sum(self.outliers.values()) > 0
+        present = (("colored", self.coloured), ("buffet", buffet), ("outliers", outliers))
+        return tuple(name for name, there in present if there)
 
 
 @dataclass(frozen=True)
@@ -859,7 +816,6 @@ class ProductTerm:
         return None if None in codes else " * ".join(codes)  # pyright: ignore[reportArgumentType, reportCallIssue]
 
     def evaluate(self, signals: Mapping[str, Any], aircraft: Aircraft) -> Float[np.ndarray, " n"]:
-        """The product, one value a sample."""
         return np.prod([f.evaluate(signals, aircraft) for f in self.factors], axis=0)
 
 

@@ -15,14 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc, ndtr, ndtri, stdtr
 
-from bayes_aero.diagnosis.selection_state import (
-    TINY,
-    DiagnosisSettings,
-    RegressionFit,
-    SelectionState,
-    inverse,
-    partialled,
-)
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings, RegressionFit, SelectionState, inverse, partialled
 from bayes_aero.inference.covariance import (
     ORDER,
     autoregression,
@@ -145,10 +138,8 @@ def autocorrelation_of(residual: Rows, folds: Sequence[slice]) -> Autocorrelatio
 
 
 def autocorrelations_of(residuals: Records, folds: Sequence[slice]) -> list[Autocorrelation]:
-    each = [
-        autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
-        for c in range(residuals.shape[2])
-    ]
+    outputs = np.moveaxis(residuals, 2, 0)
+    each = [autoregression([np.ascontiguousarray(x[:, fold]) for fold in folds]) for x in outputs]
     phi, sigma = (np.stack(parts, axis=1) for parts in zip(*each, strict=True))
     return [Autocorrelation(p, s) for p, s in zip(phi, sigma, strict=True)]
 
@@ -225,7 +216,7 @@ class PartialledRegression:
         right = self.right(noises)
         diagonal, whole = self.middle.under_each(autocorrelations_of(noises, self.state.folds), wide)
         # Of a single parameter the information cancels.
-        scores = np.abs(right[:, alone]) / np.sqrt(np.maximum(diagonal[:, alone], TINY))
+        scores = np.abs(right[:, alone]) / np.sqrt(np.maximum(diagonal[:, alone], 1e-300))
         best = np.max(scores, axis=1, initial=0.0)
         for j, meats in zip(wide, whole, strict=True):
             bread, own = self.bread[j], right[:, self.place[j]]
@@ -277,9 +268,6 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
     return -float(ndtri(max(tail, 1e-304) / 2.0)) if tail < 1.0 else 0.0
 
 
-# --- Noise of coefficients that grows as the flow separates.
-
-
 def noise_growth_of(state: SelectionState) -> Rows:
     """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0; flight-path outputs have none."""
     growth, own = np.ones_like(state.residual), state.responses.model.coefficients
@@ -299,9 +287,6 @@ def noise_growth_of(state: SelectionState) -> Rows:
         if level > 0.0:
             growth[:, c] = 1.0 + max(0.0, slope / level) * apart
     return growth
-
-
-# --- Scores of all candidates, and noise-only replicates.
 
 
 @dataclass(frozen=True)

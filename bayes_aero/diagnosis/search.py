@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,17 +16,9 @@ from bayes_aero.diagnosis.components import has_chunks, offsets_left
 from bayes_aero.diagnosis.consistency import check_sensors, widened
 from bayes_aero.diagnosis.result import FLIGHT_PATH, FoundTerm, NoiseReport, ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening import lag1_within, screen
-from bayes_aero.diagnosis.selection_state import quiet
-from bayes_aero.diagnosis.unexplained import (
-    Forms,
-    Left,
-    described,
-    flown_forms,
-    forms_of,
-    offsets_found,
-    unexplained,
-    withdrawn,
-)
+from bayes_aero.diagnosis.selection import Extension
+from bayes_aero.diagnosis.selection_state import CandidateModel, SelectionState, quiet
+from bayes_aero.diagnosis.unexplained import Forms, Left, flown_forms, forms_of, offsets_found, unexplained, withdrawn
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.effect import Effect, Stage
@@ -47,13 +40,15 @@ from bayes_aero.residuals.base import WINDOW, FlightPathError, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import FilterError, OutputError
 
+ONLY_TERMS = "Of structure without a name, terms of the library are sought, and no functions of a channel or of time."
+
 
 @dataclass(frozen=True)
 class SearchResult:
     """What a search for missing effects has found, whichever way the model meets the record."""
 
-    full: selection_state.CandidateModel
-    stages: Mapping[str, selection.Extension]  # extensions by stage, the model's own last
+    full: CandidateModel
+    stages: Mapping[str, Extension]  # extensions by stage, the model's own last
     unknown: tuple[UnexplainedStructure, ...]
     noise: NoiseReport
     notes: tuple[str, ...]
@@ -68,11 +63,11 @@ class SearchResult:
         return not self.model.state.responses.freedom
 
     @property
-    def model(self) -> selection.Extension:
+    def model(self) -> Extension:
         return list(self.stages.values())[-1]
 
     @property
-    def sensors(self) -> selection.Extension | None:
+    def sensors(self) -> Extension | None:
         return self.stages.get(FLIGHT_PATH)
 
     @property
@@ -88,7 +83,7 @@ def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
     return tuple(n for n in required_of(card.axes) if n not in given and any(not record.has(n) for record in records))
 
 
-def noise_report(extension: selection.Extension, outliers: Mapping[str, int]) -> NoiseReport:
+def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseReport:
     """Colour, size, growth and outliers of what the extended model leaves; of coefficients at the recorded rate."""
     state, names = extension.state, extension.state.outputs
     left, growth = state.left(), np.ones(len(names))
@@ -115,12 +110,6 @@ class Search:
     seed: int
     progress: Progress = quiet
 
-    def made(self, *, by_innovations: bool) -> SearchResult:
-        """By innovations, or by coefficients where the records have what these need, or by trajectories."""
-        if by_innovations:
-            return self.innovations()
-        return self.trajectories() if lacking(self.records, self.card) else self.coefficients()
-
     def coefficients(self) -> SearchResult:
         """Where coefficients can be formed."""
         flights, outliers = despiked(join(self.records, self.card, required_of(self.model.axes)))
@@ -132,11 +121,8 @@ class Search:
         left, failures = attempted(
             "Unexplained structure was not sought", lambda: unexplained(model, seed=self.seed + 2000), Left()
         )
-        forms, failed = attempted(
-            "The form of unexplained structure was not sought",
-            lambda: forms_of(model, left, seed=self.seed + 3000),
-            Forms((), ()),
-        )
+        sought, none = partial(forms_of, model, left, seed=self.seed + 3000), Forms((), (), unknown=left.unknown)
+        forms, failed = attempted("The form of unexplained structure was not sought", sought, none)
         notes = []
         if filtered := selection.filtered_channels(flights):
             notes.append(
@@ -150,14 +136,13 @@ class Search:
             "coefficients by more than the flight path gains, so it is not made."
             for name in denied
         ]
-        forms = forms._replace(unknown=described(left.unknown, forms))
         extensions = sensors, withdrawn(model, (*left.replaced, *forms.replaced), forms.sizes)
         return self._result(full, extensions, forms, outliers, notes, (*failures, *failed), left.changes)
 
     def _result(
         self,
-        full: selection_state.CandidateModel,
-        extensions: Sequence[selection.Extension | None],
+        full: CandidateModel,
+        extensions: Sequence[Extension | None],
         forms: Forms,
         outliers: Mapping[str, int],
         notes: Sequence[str],
@@ -183,12 +168,12 @@ class Search:
         begin = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
         status = PredictionErrorStatus.CONVERGED
 
-        def select(barred: tuple[str, ...]) -> selection.Extension:
+        def select(barred: tuple[str, ...]) -> Extension:
             """One addition after the other; after each, gusts and noise are estimated anew."""
             nonlocal status
             known, active, apart, filtered = begin, (), (), None
             steps: tuple[selection.SelectionStep, ...] = ()
-            first: selection.Extension | None = None
+            first: Extension | None = None
             while True:
                 self.progress("process noise", 0.0)
                 state, filtered = filtered_state(full, base, flights, fit.R, known, active, filtered)
@@ -204,10 +189,7 @@ class Search:
                 apart, active = added.state.apart, chosen
 
         extension = selection.plausible(select)
-        notes = [
-            "Of structure without a name, terms of the library are sought in innovations, and no functions of a "
-            "channel or of time."
-        ]
+        notes = [ONLY_TERMS]
         if status is not PredictionErrorStatus.CONVERGED:
             notes.append(f"Process noise: {status.value}.")
         return self._with_terms(extension, flights, outliers, notes)
@@ -225,17 +207,13 @@ class Search:
         state = _first_state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
         extension = selection.plausible_selection(state, seed=self.seed, progress=self.progress)
         with np.errstate(over="raise", invalid="raise", divide="raise"):  # numbers that overflow are no answer
-            lagged, failures = attempted(
-                "Whether the separation point lags was not tested",
-                lambda: _with_lag(whole, extension, flights, base, self.seed, self.progress),
-                None,
-            )
+            with_lag = partial(_with_lag, whole, extension, flights, base, self.seed, self.progress)
+            lagged, failures = attempted("Whether the separation point lags was not tested", with_lag, None)
         notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
         if absent := lacking(self.records, self.card):
             notes.append(
                 f"Without {', '.join(absent)} no coefficients can be formed: the diagnosis rests on simulated "
-                "trajectories. Of structure without a name, terms of the library are sought, and no functions of a "
-                "channel or of time."
+                f"trajectories. {ONLY_TERMS}"
             )
         return self._with_terms(lagged or extension, flights, outliers, notes, failures)
 
@@ -246,18 +224,15 @@ class Search:
 
     def _with_terms(
         self,
-        extension: selection.Extension,
+        extension: Extension,
         flights: Flights,
         outliers: Mapping[str, int],
         notes: list[str],
         failures: Sequence[str] = (),
     ) -> SearchResult:
         """The result of a search in trajectories or innovations, with terms of the library for what is left."""
-        forms, failed = attempted(
-            "The form of what the catalogue does not explain was not sought",
-            lambda: flown_forms(extension, seed=self.seed + 3000, progress=self.progress),
-            Forms((), ()),
-        )
+        sought, none = partial(flown_forms, extension, seed=self.seed + 3000, progress=self.progress), Forms((), ())
+        forms, failed = attempted("The form of what the catalogue does not explain was not sought", sought, none)
         if still := taken_as_zero(flights):
             notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
         extension = withdrawn(extension, forms.replaced, forms.sizes)
@@ -270,16 +245,11 @@ class Search:
 
 
 def search_in_stages(
-    full: selection_state.CandidateModel,
-    responses: EquationError,
-    theta: Float[np.ndarray, " k"],
-    *,
-    seed: int,
-    progress: Progress = quiet,
-) -> tuple[selection.Extension | None, selection.Extension, tuple[str, ...]]:
+    full: CandidateModel, responses: EquationError, theta: Float[np.ndarray, " k"], *, seed: int, progress: Progress
+) -> tuple[Extension | None, Extension, tuple[str, ...]]:
     """The flight path first, where it was recorded; the coefficients with sensors corrected; then what these deny."""
 
-    def coefficients(sensors: selection.Extension | None) -> selection.Extension:
+    def coefficients(sensors: Extension | None) -> Extension:
         progress("coefficients", 0.0)
         begin = theta
         if sensors is not None:
@@ -320,7 +290,7 @@ def search_in_stages(
     return sensors, aerodynamics, tuple(denied)
 
 
-def _after(full: selection_state.CandidateModel, sensors: selection.Extension | None) -> selection_state.CandidateModel:
+def _after(full: CandidateModel, sensors: Extension | None) -> CandidateModel:
     """What the coefficients may still add after the flight path, which is the prior of the sensors it did not elect."""
     if sensors is None:
         return replace(full, priors={})
@@ -335,7 +305,7 @@ def _after(full: selection_state.CandidateModel, sensors: selection.Extension | 
     return replace(full, candidates=tuple(e for e in full.candidates if e.name not in taken), priors=priors)
 
 
-def _denied(sensors: selection.Extension, aerodynamics: selection.Extension) -> str | None:
+def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
     """The sensor error whose correction costs the card's fit of the coefficients most, if it is more than it gains."""
     card = aerodynamics.base
 
@@ -352,27 +322,25 @@ def _denied(sensors: selection.Extension, aerodynamics: selection.Extension) -> 
     return worst if worst and losses[worst] > _path_gain(sensors, worst) + card.settings.decisive else None
 
 
-def _path_gain(sensors: selection.Extension, name: str) -> float:
+def _path_gain(sensors: Extension, name: str) -> float:
     """What the flight path gains by an error of a sensor, nats, its colour counted."""
     own = screen(sensors.state, without=name).of(name)
     return math.inf if own is None else nats(max(own.gain, 0.0), own.variance_inflation)
 
-
-# --- Innovations and trajectories.
 
 FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
 START_STEPS = 8  # of output error, from which the filter begins: its last ones settle what the filter moves again
 
 
 def filtered_state(
-    full: selection_state.CandidateModel,
+    full: CandidateModel,
     base: AircraftDynamics,
     flights: Flights,
     R: Float[np.ndarray, " c"],
     known: Mapping[str, float],
     active: tuple[str, ...],
     before: PredictionErrorResult | None,
-) -> tuple[selection_state.SelectionState, PredictionErrorResult]:
+) -> tuple[SelectionState, PredictionErrorResult]:
     """The filter's fit with these additions, from the one `before`, and the problem there; `R`: of output error."""
     names = full.model.names
     out = {p.name for e in full.model.effects if e.name not in (*full.base, *active) for p in e.parameters}
@@ -407,12 +375,8 @@ def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResul
 
 
 def _first_state(
-    full: selection_state.CandidateModel,
-    flights: Flights,
-    base: AircraftDynamics,
-    values: Mapping[str, float],
-    *active: str,
-) -> selection_state.SelectionState:
+    full: CandidateModel, flights: Flights, base: AircraftDynamics, values: Mapping[str, float], *active: str
+) -> SelectionState:
     """The problem linearised where these parameters have these values and all others are neutral."""
     theta, dynamics = full.vector(values), replace(base, model=full.model)
     responses = OutputError.of(flights, dynamics, dynamics.substeps(theta, flights))
@@ -420,15 +384,15 @@ def _first_state(
 
 
 def _with_lag(
-    whole: selection_state.CandidateModel,
-    extension: selection.Extension,
+    whole: CandidateModel,
+    extension: Extension,
     flights: Flights,
     dynamics: AircraftDynamics,
     seed: int,
     progress: Progress,
-) -> selection.Extension | None:
+) -> Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
-    lag, base, settings = selection_state.lag_of(whole), extension.base, whole.settings
+    lag, base, settings = whole.lag, extension.base, whole.settings
     if lag is None or not extension.state.active:
         return None
     progress("lag of the separation point", 0.0)
@@ -447,7 +411,7 @@ def _with_lag(
     return replace(other, base=base, steps=(step, *other.steps))
 
 
-def without_lags(full: selection_state.CandidateModel) -> selection_state.CandidateModel:
+def without_lags(full: CandidateModel) -> CandidateModel:
     """Without effects that need a state of their own."""
     lags = [e for e in full.candidates if e.stage is Stage.LAG]
     neutral = [pair for e in lags for pair in e.neutral_values.items()]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations, product
 from typing import Any, NamedTuple
 
@@ -12,33 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linprog
 
+from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.result import Absorbed, CancellingPair, Confirmation, Size
-from bayes_aero.diagnosis.screening import (
-    CandidateScore,
-    PartialledRegression,
-    ScreeningResult,
-    SharedNoise,
-    jackknife_errors,
-    jackknife_p_value,
-    log_bayes,
-    noise_growth_of,
-    refit_p_value,
-    screen,
-    uncertainty,
-)
-from bayes_aero.diagnosis.selection_state import (
-    DEFAULT,
-    DiagnosisSettings,
-    Products,
-    SelectionState,
-    by_manoeuvre,
-    inverse,
-    local_fit,
-    moved,
-    optimum,
-    quiet,
-    refitted,
-)
+from bayes_aero.diagnosis.screening import CandidateScore, ScreeningResult, screen, uncertainty
+from bayes_aero.diagnosis.selection_state import SelectionState, by_manoeuvre, inverse, moved, quiet, refitted
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.flight.health import noise_of
 from bayes_aero.inference.covariance import log_density, log_score_gain, median_inflation, nats
@@ -82,8 +60,7 @@ class Extension:
 
 
 def plausible(
-    select: Callable[[tuple[str, ...]], Extension],
-    out: Callable[[Extension], Iterable[str]] = lambda extension: extension.implausible,
+    select: Callable[[tuple[str, ...]], Extension], out: Callable[[Extension], Iterable[str]] = lambda x: x.implausible
 ) -> Extension:
     """What `select` finds without what is barred, made again without what is larger than aircraft have, and `out`."""
     # That explains nothing, and what was selected beside it is judged without it.
@@ -102,18 +79,13 @@ def plausible_selection(state: SelectionState, **options: Any) -> Extension:
 
 
 def selected(
-    state: SelectionState,
-    *,
-    seed: int = 0,
-    most: int | None = None,
-    progress: Progress = quiet,
-    barred: Sequence[str] = (),
+    state: SelectionState, *, seed: int, most: int | None = None, progress: Progress = quiet, barred: Sequence[str] = ()
 ) -> Extension:
     """Add at most `most` effects (default: the settings') that are not `barred`; p-values are family-wise."""
     most = state.settings.max_effects if most is None else most
     state = refitted(state)
     inflation = median_inflation(np.array([s.variance_inflation for s in screen(state).candidate_scores]))
-    state = replace(state, noise_growth=noise_growth_of(state), variance_inflation=inflation)
+    state = replace(state, noise_growth=screening.noise_growth_of(state), variance_inflation=inflation)
     first = state = refitted(moved(state, state.theta))
     steps: list[SelectionStep] = []
     noisy: tuple[str, ...] = ()
@@ -170,9 +142,8 @@ def _offsets_instead(state: SelectionState, winner: CandidateScore) -> tuple[str
 
 
 def sized(extension: Extension) -> Extension:
-    """What was added, with sizes, and which of it are causes."""
     state, names = extension.state, extension.state.full.model.names
-    errors = jackknife_errors(state, state.responses.stretch)
+    errors = screening.jackknife_errors(state, state.responses.stretch)
     least = {names[c]: float(x) for c, x in zip(state.best.columns, errors, strict=True) if c < len(names)}
     estimates = {name: replace(size, sd=max(size.sd, least[name])) for name, size in sizes(state).items()}
     causes, minor = worth(state, estimates)
@@ -193,7 +164,7 @@ def noise_shares(state: SelectionState) -> dict[str, float]:
 
 def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bool) -> SelectionStep:
     """The most explaining candidate, not `barred`, that is beyond chance, matters, and predicts folds left out."""
-    settings, noise = state.settings, SharedNoise(seed, state.folds, len(state.outputs), state.settings)
+    settings, noise = state.settings, screening.SharedNoise(seed, state.folds, len(state.outputs), state.settings)
     ranking, able = screen(state, nulls=first, noise=noise), list[CandidateScore]()
     leaders: dict[str, CandidateScore] = {}
     for standing in (s for s in ranking.candidate_scores if s.effect not in barred):
@@ -207,16 +178,15 @@ def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bo
         if standing.score < settings.least_score or standing.log_bayes <= 0.0:
             continue
         if not len(ranking.nulls):
-            projected = PartialledRegression(
-                state, state.best, [b[1] for b in state.blocks if b[0] not in state.active]
-            )
+            blocks = [b[1] for b in state.blocks if b[0] not in state.active]
+            projected = screening.PartialledRegression(state, state.best, blocks)
             ranking = replace(ranking, nulls=projected.nulls(ranking.colour, noise.replicates))
         if (p := ranking.p_value(standing.score)) <= settings.false_alarm_rate:
             return SelectionStep(standing.effect, p, ranking)
     among, alone = len(ranking.candidate_scores), not state.responses.freedom
     for standing in able if alone else able[: settings.candidates_refitted]:
         if alone:
-            p, limit = refit_p_value(state, standing, noise), settings.false_alarm_rate
+            p, limit = screening.refit_p_value(state, standing, noise), settings.false_alarm_rate
         else:  # no stationary colour holds, with a leader in or out
             p = between_p_value(refitted(added(state, standing)), standing.effect, among)
             limit = settings.refit_false_alarm_rate
@@ -233,7 +203,7 @@ def between_p_value(wider: SelectionState, effect: str, among: int) -> float:
     columns = wider.full.own_columns(effect)
     if not np.all(np.isin(columns, wider.best.columns)):
         return 1.0
-    return jackknife_p_value(wider, wider.best, columns, wider.departure[columns], among)
+    return screening.jackknife_p_value(wider, wider.best, columns, wider.departure[columns], among)
 
 
 def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
@@ -279,7 +249,7 @@ def _reconsidered(state: SelectionState, barred: Sequence[str]) -> SelectionStat
         if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, state.best.columns))):
             return own.log_bayes
         at, precision = state.best.places(columns), state.precision[columns] / state.variance_inflation
-        return log_bayes(away, uncertainty(state)[np.ix_(at, at)], state.mean[columns] + away, precision)
+        return screening.log_bayes(away, uncertainty(state)[np.ix_(at, at)], state.mean[columns] + away, precision)
 
     for effect in state.active[:-1]:
         ranking = screen(state, without=effect)
@@ -519,11 +489,11 @@ def noise_effect(state: SelectionState) -> tuple[Float[np.ndarray, " k"], ...]:
     at = fit.columns[parameters]
 
     def step(extra: Mapping[str, np.ndarray], sign: float = 1.0) -> np.ndarray:
-        """The Gauss-Newton step from the optimum with more noise."""
         channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
         there = replace(state, responses=state.responses.with_channels(channels))
         # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
-        return local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0].step[: len(at)]
+        stepped, _ = selection_state.local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)
+        return stepped.step[: len(at)]
 
     drawn = ({name: sd * rng.standard_normal(flights.n) for name, sd in noise.items()} for _ in range(PAIRS))
     there, back = np.array([(step(extra), step(extra, -1.0)) for extra in drawn]).transpose(1, 0, 2)
@@ -632,9 +602,8 @@ class LeftOut:
     @classmethod
     def refitted(cls, state: SelectionState) -> LeftOut:
         """With the effects that are in, every fit brought to its own optimum."""
-        steps = state.settings.hold_out_steps
-        residual = state.responses.holdout(state.folds, lambda others: optimum(state, others, steps), state.outputs)
-        return cls._of(state, residual)
+        fitted = partial(selection_state.optimum, state, most=state.settings.hold_out_steps)
+        return cls._of(state, state.responses.holdout(state.folds, fitted, state.outputs))
 
     @classmethod
     def first_order(cls, state: SelectionState, effects: Sequence[str]) -> LeftOut:
@@ -678,7 +647,6 @@ class LeftOut:
         return {n: log_score_gain(x, y, self.variance_inflation, self.lengths) for n, x, y in pairs}
 
     def scores(self, measured: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
-        """Scores of each coefficient over everything left out, against what was recorded (blocks of about 5 Hz)."""
         return scores_of(self.names, measured[self.inside], self.residual[self.inside])
 
 
@@ -736,7 +704,7 @@ def addition_gain(state: SelectionState, wide: np.ndarray) -> float:
 
 
 def integrated_deviance(
-    products: Products, prior: tuple, inflation: float, fold: int, columns: np.ndarray, card: np.ndarray
+    products: selection_state.Products, prior: tuple, inflation: float, fold: int, columns: np.ndarray, card: np.ndarray
 ) -> float:
     """Deviance of a fold by these columns, those beyond the card's integrated out over their posterior elsewhere."""
     others, at = products.without(fold).fit(columns, *prior), np.flatnonzero(~np.isin(columns, card))
@@ -759,10 +727,9 @@ Predicted = Callable[[Sequence[str]], LeftOut]  # unseen data as the model with 
 
 
 def backward_elimination(
-    additions: Sequence[str], first_order: Predicted, refitted: Predicted, settings: DiagnosisSettings = DEFAULT
+    additions: Sequence[str], first_order: Predicted, refitted: Predicted, settings: selection_state.DiagnosisSettings
 ) -> Confirmation:
-    """Each addition in turn, least missed to first order first, is taken out and everything fitted again. What stays is
-    missed by `settings.hold_out` standard errors of its log density and degrades no output."""
+    """Each addition in turn, least missed to first order first, is taken out and everything fitted again."""
 
     def gain(without: LeftOut, whole: LeftOut) -> tuple[float, float]:
         return whole.gain(without) if without.flyable else (np.inf, 0.0)
@@ -790,9 +757,5 @@ def backward_elimination(
 
 
 def confirmation(state: SelectionState) -> Confirmation:
-    return backward_elimination(
-        state.active,
-        lambda effects: LeftOut.first_order(state, effects),
-        lambda effects: LeftOut.refitted(truncated(state, effects)),
-        state.settings,
-    )
+    near = partial(LeftOut.first_order, state)
+    return backward_elimination(state.active, near, lambda e: LeftOut.refitted(truncated(state, e)), state.settings)

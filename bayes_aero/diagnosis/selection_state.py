@@ -158,7 +158,6 @@ class CandidateModel:
         return np.array([everything[name] for name in self.model.names], float)
 
     def at_neutral(self, theta: Vector, effects: Sequence[str]) -> Vector:
-        """`theta` with the free parameters of these effects at neutral."""
         names = {p for effect in effects for p in self.parameters_of(effect)}
         return np.where([name in names for name in self.model.names], self.neutral_vector, theta)
 
@@ -173,6 +172,11 @@ class CandidateModel:
         mean, deviation = np.array(pairs).reshape(-1, 2).T
         return mean - theta[np.asarray(index, int)], deviation**-2.0
 
+    @property
+    def lag(self) -> Effect | None:
+        lags = (e for e in self.candidates if e.stage is Stage.LAG)
+        return next((e for e in lags if any(p.role is Role.LAG for p in e.parameters)), None)
+
     def columns(self, names: Sequence[str]) -> np.ndarray:
         return np.array([self.model.places[name] for name in names], int)
 
@@ -185,11 +189,6 @@ class CandidateModel:
 
 def finite(neutral: float) -> float:
     return neutral if math.isfinite(neutral) else FAR
-
-
-def lag_of(full: CandidateModel) -> Effect | None:
-    lags = (e for e in full.candidates if e.stage is Stage.LAG)
-    return next((e for e in lags if any(p.role is Role.LAG for p in e.parameters)), None)
 
 
 def candidate_model(
@@ -518,7 +517,6 @@ class SelectionState:
 
     @property
     def departure(self) -> Vector:
-        """How far each parameter is from neutral, to first order (see `departure`)."""
         away = [departure(x, p.neutral) for x, p in zip(self.theta, self.full.model.free, strict=True)]
         return np.where(self.theta == self.full.neutral_vector, 0.0, away)
 
@@ -698,8 +696,6 @@ def moved(
     active, apart = state.active if active is None else active, state.apart if apart is None else apart
     return linearised(state.full, state.responses, state.outputs, theta, active, apart, state)
 
-
-# --- Parameters fitted to the residuals of any folds by Gauss-Newton.
 
 REFITS = 8
 LEAST_GAIN = 0.05  # of the deviance

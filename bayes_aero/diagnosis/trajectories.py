@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
 from threading import Event
 from types import MappingProxyType
 from typing import NamedTuple
@@ -24,15 +23,7 @@ from jaxtyping import Float
 from bayes_aero.diagnosis import result
 from bayes_aero.diagnosis.consistency import sensor_noise
 from bayes_aero.diagnosis.selection import Extension, LeftOut, backward_elimination, large, normal_draws
-from bayes_aero.diagnosis.selection_state import (
-    DEFAULT,
-    CandidateModel,
-    DiagnosisSettings,
-    by_manoeuvre,
-    finite,
-    lag_of,
-    quiet,
-)
+from bayes_aero.diagnosis.selection_state import DEFAULT, CandidateModel, DiagnosisSettings, by_manoeuvre, finite, quiet
 from bayes_aero.dynamics import flight
 from bayes_aero.dynamics.kalman import neighbour_correlation, prediction_errors, smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
@@ -42,16 +33,9 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import channels_of
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference import output_error
+from bayes_aero.inference import output_error, prediction_error
 from bayes_aero.inference.covariance import corrected_covariance, means, median_inflation, variance_inflation
 from bayes_aero.inference.optimise import solve
-from bayes_aero.inference.prediction_error import (
-    PredictionErrorResult,
-    PredictionErrorStatus,
-    fit_disturbed,
-    one_step,
-    sample_innovations,
-)
 from bayes_aero.inference.results import CONFLICT_LIMIT, MleResult, MleStatus, OutputErrorStatus, Posterior
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
@@ -62,14 +46,12 @@ from bayes_aero.progress import Progress
 
 Vector = Float[np.ndarray, " k"]
 DRAWS = 40  # of the posterior, for the probability of staying inside the tolerances
-GIVEN = "given"
 
 
 def label(flown: SegmentTrajectories, row: int) -> str:
-    name = flown.flights.names[int(flown.manoeuvre[row])]
-    if len(flown.flights.lengths) > 1 or len(flown.index) == 1:
-        return name
-    return f"{name}, {'first' if row == 0 else 'second'} half"
+    whole = len(flown.flights.lengths) > 1 or len(flown.index) == 1
+    half = "" if whole else ", first half" if row == 0 else ", second half"
+    return flown.flights.names[int(flown.manoeuvre[row])] + half
 
 
 def simulated(
@@ -104,7 +86,6 @@ def simulated(
 def posterior_draws(
     fit: output_error.OutputErrorResult, variance_inflation: float, seed: int, count: int = DRAWS
 ) -> Float[np.ndarray, "m k"]:
-    """Parameters drawn from the posterior, within their bounds."""
     moving = np.flatnonzero(fit.sd > 0.0)
     covariance = variance_inflation * fit.covariance[np.ix_(moving, moving)]
     return normal_draws(fit.estimate, moving, covariance, fit.parameters, seed, count)
@@ -137,7 +118,7 @@ def fly_given(
     whole = segments(flights, dynamics, substeps=dynamics.substeps(theta, flights))
     still = np.zeros((len(whole.index), len(dynamics.start)))
     with np.errstate(over="ignore", invalid="ignore"):  # coefficients that fit may still fly anywhere
-        return tuple(simulated(theta, whole, GIVEN, GIVEN, still, tolerances))
+        return tuple(simulated(theta, whole, "given", "given", still, tolerances))
 
 
 # --- The same parameters by a filter that estimates gusts, process noise and measurement noise with them.
@@ -149,11 +130,12 @@ def with_process_noise(
 ) -> tuple[result.ProcessNoise, Callable[[int, Progress | None, str], dict[str, Posterior]]]:
     """Fit again in gusts and with noise of every state that is compared; also what samples its posterior."""
     fit = flown.fit
-    gusty, filtered = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
+    gusty, filtered = prediction_error.fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
 
     def sample(seed: int, progress: Progress | None, engine: str) -> dict[str, Posterior]:
         with blas_threads(0):
-            return sample_innovations(gusty, filtered, fit.R, seed=seed, engines=(engine,), progress=progress)
+            options = {"seed": seed, "engines": (engine,), "progress": progress}
+            return prediction_error.sample_innovations(gusty, filtered, fit.R, **options)
 
     inside = fit.flown.inside
     of_noise = int(inside.sum()) * float(np.sum(np.log(2.0 * np.pi * fit.R) + 1.0))
@@ -161,10 +143,10 @@ def with_process_noise(
     pairs = zip(map(float, filtered.estimate), map(float, filtered.sd), strict=True)
     estimates = dict(zip(filtered.names, pairs, strict=True))
     own = set(fit.flown.dynamics.names) - gusty.dynamics.disturbance_parameters
-    converged, predicted = filtered.status is PredictionErrorStatus.CONVERGED, None
+    converged, predicted = filtered.status is prediction_error.PredictionErrorStatus.CONVERGED, None
     if converged:
         errors = np.asarray(prediction_errors(gusty.nameless, jnp.asarray(filtered.estimate), filtered.found))
-        predicted = one_step(filtered.found, errors, filtered.outputs)
+        predicted = prediction_error.one_step(filtered.found, errors, filtered.outputs)
     theirs = [i for i, name in enumerate(filtered.names) if name in own]
     noise = result.ProcessNoise(
         status=filtered.status.value,
@@ -185,7 +167,9 @@ def with_process_noise(
 _smoothed = eqx.filter_jit(jax.vmap(smooth))
 
 
-def _histories(gusty: SegmentTrajectories, filtered: PredictionErrorResult) -> tuple[result.GustHistory, ...]:
+def _histories(
+    gusty: SegmentTrajectories, filtered: prediction_error.PredictionErrorResult
+) -> tuple[result.GustHistory, ...]:
     """By manoeuvre, by the smoother; only gusts that have an intensity."""
     dynamics, values = gusty.dynamics, dict(zip(filtered.names, filtered.estimate, strict=True))
     model = getattr(dynamics, "model", None)  # of linear cards none
@@ -288,8 +272,7 @@ def holdout_fits(
     seed: int = 0,
 ) -> list[result.SimulatedManoeuvre]:
     """Every segment flown from its measured initial state by the fit without it, in order, and by draws of it."""
-    flown, still = contender.fit.flown, np.zeros_like(contender.fit.departure)
-    paths = []
+    flown, still, paths = contender.fit.flown, np.zeros_like(contender.fit.departure), []
     for k, fit in enumerate(fits):
         drawn = bool(tolerances) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE
         draws = posterior_draws(fit, variance_inflation, seed) if drawn else None
@@ -299,7 +282,6 @@ def holdout_fits(
 
 
 def left_out_of(paths: Sequence[result.SimulatedManoeuvre], flown: SegmentTrajectories, inflation: float) -> LeftOut:
-    """What simulations, in order, miss of every segment of `flown`."""
     left = [np.stack([p.measured[n] - p.simulated[n] for n in flown.outputs], axis=1) for p in paths]
     scaled = [x / s for x, s in zip(left, flown.growth, strict=True)]
     return _left_out(scaled, flown, inflation, flyable=all(p.inside for p in paths))
@@ -323,7 +305,7 @@ SETTLED = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
 
 def open_lag(full: CandidateModel, extension: Extension, model: Model) -> Effect | None:
     """The catalogue's lag, if the flow of the extended model separates without one and the lag scores as a rival."""
-    lag, stages = lag_of(full), {e.stage for e in model.acting}
+    lag, stages = full.lag, {e.stage for e in model.acting}
     if lag is None or Stage.LAG in stages or Stage.SEPARATION not in stages or not extension.steps:
         return None
     scores = [s.score for s in extension.steps[-1].screening.candidate_scores if s.effect == lag.name]
@@ -331,27 +313,20 @@ def open_lag(full: CandidateModel, extension: Extension, model: Model) -> Effect
 
 
 def with_lag(
-    model: Model,
-    effect: Effect,
-    extended: CandidateFit,
-    noise: FlightNoise,
-    flights: Flights,
-    settings: DiagnosisSettings = DEFAULT,
+    model: Model, effect: Effect, extended: CandidateFit, noise: FlightNoise, settings: DiagnosisSettings = DEFAULT
 ) -> tuple[CandidateFit, result.LagTest]:
     """The extended model with the lag, fitted to all; hysteresis left at none is held: the lag stands for it."""
     hysteresis = [e for e in model.effects if e.stage is Stage.INCIDENCE and "incidence" in e.example.increments]
     neutral = {name: x for e in hysteresis for name, x in e.neutral_values.items()}
     # Hysteresis not below none: beside a lag it would be a lead that cancels it, and mean nothing.
-    bounded = [
-        replace(p, bounds=(max(neutral[p.name], p.bounds[0]), p.bounds[1])) if p.name in neutral else p
-        for p in model.parameters
-    ]
-    dynamics = flight.aircraft_dynamics(replace(model, parameters=tuple(bounded)), flights)
-    earlier = extended.fit.flown.dynamics
+    least = {p.name: max(neutral.get(p.name, -np.inf), p.bounds[0]) for p in model.parameters}
+    bounded = [replace(p, bounds=(least[p.name], p.bounds[1])) for p in model.parameters]
+    flown, earlier = extended.fit.flown, extended.fit.flown.dynamics
+    dynamics = flight.aircraft_dynamics(replace(model, parameters=tuple(bounded)), flown.flights)
     dynamics = replace(dynamics, biased=earlier.biased, lengths=earlier.lengths)
     fitted = dict(zip(extended.fit.names, map(float, extended.fit.estimate), strict=True))
     start = np.array([fitted.get(p.name, p.start) for p in dynamics.free])
-    whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))
+    whole = replace(flown, dynamics=dynamics, substeps=dynamics.substeps(start, flown.flights))
     inflation = noise.variance_inflation
     fit = output_error.fit_output_error(whole, start=start, prior_weight=inflation)
     values = dict(zip(fit.names, fit.estimate, strict=True))
@@ -410,12 +385,10 @@ def eliminate(
         return {name: x for e, values in neutral.items() if e not in effects for name, x in values.items()}
 
     def without(effects: Sequence[str]) -> CandidateFit:
-        """The contender, of what is asked only `effects` in."""
         held = {name: finite(x) for name, x in absent(effects).items()}
         return replace(contender, held={**contender.held, **held})
 
     def refitted(effects: Sequence[str]) -> LeftOut:
-        """Every segment flown by a fit to the others."""
         key, less = tuple(effects), without(effects)
         if key not in made:
             made[key] = [fit for _, fit in left_out([less], {less.name: silent}, noise)]
@@ -423,8 +396,8 @@ def eliminate(
 
     if not refitted(tuple(neutral)).flyable:  # what cannot be flown is no measure of anything
         return Elimination(contender, fits, result.Confirmation((), {}))
-    near = _FirstOrder(contender, silent, inflation)
-    confirmation = backward_elimination(tuple(neutral), lambda e: near.left_out(absent(e)), refitted, settings)
+    near = _first_order(contender, silent, inflation)
+    confirmation = backward_elimination(tuple(neutral), lambda e: near(absent(e)), refitted, settings)
     less = without(confirmation.kept)
     gone = frozenset(less.held) - frozenset(contender.held)
     if not gone:
@@ -433,34 +406,33 @@ def eliminate(
     return Elimination(replace(less, fit=again), made[confirmation.kept], confirmation, gone)
 
 
-class _FirstOrder:
+def _first_order(
+    contender: CandidateFit, silent: Mapping[int, Mapping[str, float]], inflation: float
+) -> Callable[[Mapping[str, float]], LeftOut]:
     """Segments by fits to the others that are linear in the parameters; those at a bound stay there."""
+    fit = contender.fit
+    equations, still = output_error.NormalEquations(fit.flown, fit.priors), np.zeros_like(fit.departure)
+    # At the optimum, with the fitted initial states, and with the measured ones.
+    fitted, measured = (equations.evaluate(fit.estimate, begin) for begin in (fit.departure, still))
+    A, g, _ = output_error.segment_equations(fitted, fit.priors)
 
-    def __init__(self, contender: CandidateFit, silent: Mapping[int, Mapping[str, float]], inflation: float) -> None:
-        fit = contender.fit
-        equations, still = output_error.NormalEquations(fit.flown, fit.priors), np.zeros_like(fit.departure)
-        # At the optimum, with the fitted initial states, and with the measured ones.
-        fitted, measured = (equations.evaluate(fit.estimate, begin) for begin in (fit.departure, still))
-        self.A, self.g, _ = output_error.segment_equations(fitted, fit.priors)
-        self.columns, self.inflation = measured.columns, inflation
-        self.contender, self.silent = contender, silent
-
-    def left_out(self, absent: Mapping[str, float]) -> LeftOut:
-        fit, left = self.contender.fit, []
+    def without(absent: Mapping[str, float]) -> LeftOut:
+        left = []
         for k, inside in enumerate(fit.flown.inside):
-            others = np.arange(len(self.A)) != k
-            information = self.A[others].sum(axis=0) + np.diag(fit.priors.precision)
-            gradient = self.g[others].sum(axis=0) - fit.priors.precision * (fit.estimate - fit.priors.mean)
-            stated = {**self.silent[k], **self.contender.held, **absent}
+            others = np.arange(len(A)) != k
+            information = A[others].sum(axis=0) + np.diag(fit.priors.precision)
+            gradient = g[others].sum(axis=0) - fit.priors.precision * (fit.estimate - fit.priors.mean)
+            stated = {**silent[k], **contender.held, **absent}
             away = {n: -departure(x, stated[n]) for n, x in zip(fit.names, fit.estimate, strict=True) if n in stated}
             step = np.array([away.get(n, 0.0) for n in fit.names])
             moving = np.array([n not in stated and n not in fit.at_bound for n in fit.names])
             step[moving] = solve(information[np.ix_(moving, moving)], (gradient - information @ step)[moving], 0.0)
-            left.append((self.columns[k, ..., 0] - self.columns[k, ..., 1 : 1 + len(step)] @ step)[inside])
-        return _left_out(left, fit.flown, self.inflation)
+            columns = measured.columns[k]
+            left.append((columns[..., 0] - columns[..., 1 : 1 + len(step)] @ step)[inside])
+        return _left_out(left, fit.flown, inflation)
 
+    return without
 
-# --- Variance inflation of a fit to trajectories.
 
 THINNING = 5  # samples averaged for the autocorrelation of the residuals
 
@@ -473,8 +445,7 @@ def trajectory_variance_inflation(fit: output_error.OutputErrorResult) -> float:
         S = S[..., :k]
     w, m, c, wide = S.shape
     inside = fit.flown.inside[:, : m * THINNING].reshape(w, m, THINNING).all(axis=2)
-    whole = np.zeros((w, m, c, k + w * (wide - k)))
-    whole[..., :k] = S[..., :k]
+    whole = np.pad(S[..., :k], ((0, 0), (0, 0), (0, 0), (0, w * (wide - k))))
     for row in range(w):  # every segment has its own initial state
         begin = k + row * (wide - k)
         whole[row, :, :, begin : begin + wide - k] = S[row, :, :, k:]
@@ -501,7 +472,7 @@ def compare_trajectories(
     diagnosis: result.Diagnosis,
     tolerances: Mapping[str, float],
     *,
-    biases: Mapping[str, Prior] | None = None,
+    biases: Mapping[str, Prior] = MappingProxyType({}),
     seed: int = 0,
     progress: Progress | None = None,
 ) -> result.Trajectories:
@@ -550,7 +521,6 @@ def compare_trajectories(
 
 
 def _estimates(fit: output_error.OutputErrorResult, gone: Collection[str] = ()) -> result.TrajectoryEstimates:
-    """Of a fit, without the parameters that are `gone`."""
     values = {n: float(x) for n, x in zip(fit.names, fit.estimate, strict=True) if n not in gone}
     units = {p.name: p.unit for p in fit.parameters if p.name in values}
     held = tuple(n for n in fit.held_by_prior if n in values)
@@ -558,22 +528,14 @@ def _estimates(fit: output_error.OutputErrorResult, gone: Collection[str] = ()) 
 
 
 def _contenders(
-    diagnosis: result.Diagnosis,
-    added: Sequence[Effect],
-    flights: Flights,
-    biases: Mapping[str, Prior] | None,
-    tell: Progress,
+    diagnosis: result.Diagnosis, added: Sequence[Effect], flights: Flights, biases: Mapping[str, Prior], tell: Progress
 ) -> tuple[dict[str, CandidateFit], result.LagTest | None, FlightNoise]:
     """The extended model fitted to all flights, the one with a lag where that gains, and the card's."""
-    whole = diagnosis.aerodynamics.state.full
+    card, state, whole = diagnosis.aerodynamics.base, diagnosis.aerodynamics.state, diagnosis.aerodynamics.state.full
     base = [e for e in whole.model.effects if e.name in whole.base or not e.parameters]
-    values, model = (
-        dict(zip(whole.model.names, diagnosis.aerodynamics.state.theta, strict=True)),
-        _extended(whole.model, [*base, *added]),
-    )
+    values, model = dict(zip(whole.model.names, state.theta, strict=True)), _extended(whole.model, [*base, *added])
     tell("trajectories: extended model", 0.0)
-    side = partial(_side, flights, biases)
-    stages, start = side(model, values)
+    stages, start = _side(flights, biases, model, values)
     joint = output_error.fit_cascade(stages, [start], prior_weight=FIRST_INFLATION)
     noise = FlightNoise.of(joint)
     options = {"departure": joint.departure, "prior_weight": noise.variance_inflation}
@@ -583,52 +545,34 @@ def _contenders(
     if effect is not None:
         tell("trajectories: separation lag", 0.2)
         wider = _extended(whole.model, [*base, *added, effect])
-        lagged, lag = with_lag(wider, effect, extended, noise, flights, whole.settings)
+        lagged, lag = with_lag(wider, effect, extended, noise, whole.settings)
         contenders += [lagged] if lag.gains else []
     tell("trajectories: card's model", 0.3)
-    contenders.append(
-        _card(diagnosis, _extended(whole.model, base), stages, added, extended, noise.variance_inflation, side)
-    )
-    return {c.name: c for c in contenders}, lag, noise
-
-
-def _card(
-    diagnosis: result.Diagnosis,
-    bare: Model,
-    stages: list[SegmentTrajectories],
-    added: Sequence[Effect],
-    extended: CandidateFit,
-    inflation: float,
-    side: Callable[[Model, Mapping[str, float]], Side],
-) -> CandidateFit:
-    """The card's model, the causes at neutral; from its own start and from what the extended one shares with it."""
-    base, neutral = diagnosis.aerodynamics.base, diagnosis.aerodynamics.state.full.neutral
-    before = dict(zip(base.full.model.names, base.theta, strict=True))
-    held = {name: neutral[name] for name in extended.own if name in extended.fit.names}
+    # The causes at neutral; from its own start and from what the extended model shares with it.
+    before = dict(zip(card.full.model.names, card.theta, strict=True))
+    held = {name: whole.neutral[name] for name in extended.own if name in joint.names}
     first = {p.name: p.start for p in stages[-1].dynamics.free} | before | held
     start = np.array([first[name] for name in stages[-1].dynamics.names])
     if any(e.stage is Stage.LAG for e in added):  # a state that the card's model does not have
-        (stages, start), held = side(bare, before), {}
-    fitted = dict(zip(extended.fit.names, extended.fit.estimate, strict=True))
+        (stages, start), held = _side(flights, biases, _extended(whole.model, base), before), {}
+    fitted = dict(zip(joint.names, joint.estimate, strict=True))
     shared = np.array([fitted[name] for name in stages[-1].dynamics.names])
     # A model with something missing may have several optima; what it misses is not confined to the stall.
-    fit = output_error.fit_cascade(stages, [start, shared], held=held, prior_weight=inflation)
-    return CandidateFit("card", fit, held=held, weighed=False)
+    fit = output_error.fit_cascade(stages, [start, shared], held=held, prior_weight=noise.variance_inflation)
+    contenders.append(CandidateFit("card", fit, held=held, weighed=False))
+    return {c.name: c for c in contenders}, lag, noise
 
 
-Side = tuple[list[SegmentTrajectories], Vector]
-"""One model, cut for its fits (windows, then whole manoeuvres or the halves of a single one), and where it starts."""
-
-
-def _side(flights: Flights, biases: Mapping[str, Prior] | None, model: Model, values: Mapping[str, float]) -> Side:
-    dynamics = flight.biased_dynamics(flight.aircraft_dynamics(model, flights), flights, biases or {})
+def _side(
+    flights: Flights, biases: Mapping[str, Prior], model: Model, values: Mapping[str, float]
+) -> tuple[list[SegmentTrajectories], Vector]:
+    """One model, cut for its fits (windows, then whole manoeuvres or the halves of a single one), and its start."""
+    dynamics = flight.biased_dynamics(flight.aircraft_dynamics(model, flights), flights, biases)
     start = np.array([values.get(p.name, p.start) for p in dynamics.free])
     outputs = tuple(n for n in dynamics.outputs if n in flights.channels and n not in LEFT)
     half = 0.5 * flights.lengths[0] * float(flights.channels["dt"][0]) if len(flights.lengths) == 1 else None
-    finer = dynamics.substeps(start, flights)
-    return [
-        segments(flights, dynamics, outputs=outputs, window=w, substeps=finer) for w in (result.WINDOW, half)
-    ], start
+    options = {"outputs": outputs, "substeps": dynamics.substeps(start, flights)}
+    return [segments(flights, dynamics, window=w, **options) for w in (result.WINDOW, half)], start
 
 
 def _extended(whole: Model, effects: Sequence) -> Model:
@@ -637,9 +581,6 @@ def _extended(whole: Model, effects: Sequence) -> Model:
     parameters = {p.name: p for p in whole.parameters}
     model = Model.of(effects, {k: v for k, v in whole.fixed if k in names}, whole.axes)
     return replace(model, parameters=tuple(parameters[p.name] for p in model.parameters))
-
-
-# --- One model fitted to trajectories: parameters, initial states, variance inflation, errors by flight.
 
 
 @blas_threads(0)
@@ -653,9 +594,8 @@ def fit_trajectories(
     setting: result.Setting = result.Setting(),
     progress: Progress | None = None,
 ) -> result.TrajectoryFit:
-    """Fit windows from the parameters' own start and every one of `starts`, then whole manoeuvres.
-    Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
-    by the one and its samples by the other."""
+    """Fit windows from the parameters' own start and every one of `starts`, then whole manoeuvres."""
+    # Colour, and growth as the flow separates, of what is missed weigh the last fit's priors and samples.
     tell = progress or quiet
     by_effects = isinstance(flight.unbiased(dynamics), flight.AircraftDynamics)
     dynamics = flight.biased_dynamics(dynamics, flights, setting.biases)
@@ -684,21 +624,17 @@ def fit_trajectories(
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
         paths = simulated(first, whole, result.START, result.START, np.zeros_like(fit.departure), tolerances)
         paths += simulated(fit.estimate, whole, result.FITTED, result.FITTED, fit.departure, tolerances)
-    begins = zip(dynamics.start, map(float, output_error.initial_state_sd(dynamics)), strict=True)
-    prior_sd = dict(begins) if setting.priors and setting.initial is None else {}
-    return result.TrajectoryFit(
-        fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), noise_growth, setting,
-        by_effects=by_effects, of_path=isinstance(dynamics, flight.PathDynamics), departure_sd=prior_sd,
-    )  # fmt: skip
-
-
-def _initial(fit: output_error.OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:
     wide, theta, initial = replace(fit.flown, outputs=shown), jnp.asarray(fit.estimate), {}
     for row, away in enumerate(fit.departure):  # one by one as the paths, for which it is compiled already
         begin = output_error.trajectories(wide.part([row]), theta, jnp.asarray(away[None])).begin
         pairs = zip(map(float, np.asarray(begin)[0]), map(float, away), strict=True)
         initial[label(fit.flown, row)] = dict(zip(fit.flown.dynamics.start, pairs, strict=True))
-    return initial
+    begins = zip(dynamics.start, map(float, output_error.initial_state_sd(dynamics)), strict=True)
+    prior_sd = dict(begins) if setting.priors and setting.initial is None else {}
+    return result.TrajectoryFit(
+        fit, first, tuple(paths), initial, inflation, shown, dict(units), noise_growth, setting,
+        by_effects=by_effects, of_path=isinstance(dynamics, flight.PathDynamics), departure_sd=prior_sd,
+    )  # fmt: skip
 
 
 # --- What a diagnosis by trajectories alone has tested: does the simulation miss more than measurement noise?
@@ -707,18 +643,10 @@ def _initial(fit: output_error.OutputErrorResult, shown: tuple[str, ...]) -> dic
 # absolute scale.
 
 
-def with_tested(
-    diagnosis: result.Diagnosis, flown: result.Trajectories | None, records: Sequence[FlightRecord], card: Card
-) -> result.Diagnosis:
-    """The diagnosis by trajectories, judged on hold-out flights; `flown` is its extended model, None if not flown."""
-    tested = result.Tested({} if flown is None else beyond_noise(flown, records, card))
-    return diagnosis.judged(tested=tested)
-
-
-def beyond_noise(
-    flown: result.Trajectories, records: Sequence[FlightRecord], card: Card
-) -> dict[str, result.OutputMiss]:
-    """What the extended model misses of every fitted output (root mean squares, SI), and the noise that is allowed."""
+def beyond_noise(flown: result.Trajectories | None, records: Sequence[FlightRecord], card: Card) -> result.Tested:
+    """What the extended model misses of each fitted output (root mean squares, SI), and the noise; empty: not flown."""
+    if flown is None:
+        return result.Tested({})
     noises, lengths = [sensor_noise(channels_of(record, card), card)[0] for record in records], [r.n for r in records]
 
     def rms(output: str, split: str) -> float:
@@ -730,7 +658,7 @@ def beyond_noise(
     for name in flown.fitted:
         noise = float(np.sqrt(np.average([n.get(name, 0.0) ** 2 for n in noises], weights=lengths)))
         misses[name] = result.OutputMiss(noise, rms(name, "fitted"), rms(name, "hold_out"))
-    return misses
+    return result.Tested(misses)
 
 
 # --- The same parameters from the coefficients and from trajectories: where the two fits of one record disagree.
@@ -829,10 +757,7 @@ def flown_modes(
 
 
 def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 2"]) -> result.FlownMode:
-    """A mode of this eigenvalue (1/s) whose real and imaginary part have this covariance (2, 2)."""
-
     def root(variance: float) -> float:
-        """A standard error; infinite where nothing is known."""
         return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.inf
 
     sd_real, sd_imaginary = (root(float(x)) for x in np.diag(covariance))
@@ -852,8 +777,8 @@ def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 
     if abs(s) > KNOWN * sd_real and s != 0.0:
         if w == 0.0 and s < 0.0:
             quantities["time_constant"] = with_error(-1.0 / s, (1.0 / s**2, 0.0))
-        side = "half" if s < 0.0 else "double"
-        quantities[f"time_to_{side}"] = with_error(result.HALF / abs(s), (-math.copysign(result.HALF, s) / s**2, 0.0))
+        half, side = math.log(2.0), "half" if s < 0.0 else "double"
+        quantities[f"time_to_{side}"] = with_error(half / abs(s), (-math.copysign(half, s) / s**2, 0.0))
     return result.FlownMode(name, eigenvalue, (sd_real, sd_imaginary), quantities)
 
 

@@ -1,5 +1,4 @@
-"""Structure that no effect of the catalogue explains but that a recorded channel, a period, a parameter that changes or
-terms of a library do.
+"""Structure that no effect explains but that a recorded channel, a period, a changing parameter or terms do.
 
 A smooth function of each channel, a sinusoid, or the change, is a candidate like an effect. It is taken for real
 only if its score is beyond noise-only replicates and it predicts data left out.
@@ -18,48 +17,18 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc
 
-from bayes_aero.diagnosis import screening
-from bayes_aero.diagnosis.components import (
-    SAME,
-    SEPARATED,
-    FoundChange,
-    FoundComponent,
-    TermColumn,
-    Trial,
-    columns_of,
-    families,
-    holdout_gain_of,
-    in_batches,
-    likeness,
-    parts_of,
-    polynomials,
-    reported_change,
-    sought_change,
-    term_of,
-    testable,
-)
+from bayes_aero.diagnosis import components as shapes
+from bayes_aero.diagnosis import screening, selection_state
+from bayes_aero.diagnosis.components import SAME, TermColumn, Trial, columns_of, holdout_gain_of, in_batches, likeness
 from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm, Size, UnexplainedStructure
 from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed, truncated
-from bayes_aero.diagnosis.selection_state import (
-    Component,
-    DiagnosisSettings,
-    Products,
-    RegressionFit,
-    SelectionState,
-    inverse,
-    moved,
-    optimum,
-    quiet,
-    refitted,
-)
+from bayes_aero.diagnosis.selection_state import Component, DiagnosisSettings, Products, SelectionState, moved, refitted
 from bayes_aero.effect import Kind
 from bayes_aero.inference.covariance import nats
 from bayes_aero.progress import Progress
 
 
 class Left(NamedTuple):
-    """What the catalogue does not explain."""
-
     unknown: tuple[UnexplainedStructure, ...] = ()
     replaced: tuple[str, ...] = ()  # named causes that were only its proxies
     changes: tuple[ParameterChange, ...] = ()
@@ -68,17 +37,14 @@ class Left(NamedTuple):
 
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
-    state, components, replaced = extension.state, list[FoundComponent](), extension.causes
-    for number in range(max(state.settings.unnamed_most, len(state.outputs))):
-        best = _best(state, [f.component for f in components], seed + number)
-        if best is None:
-            break
-        components.append(best)
-        state = best.state
+    state, components, replaced = extension.state, list[shapes.FoundComponent](), extension.causes
+    most = max(state.settings.unnamed_most, len(state.outputs))
+    while len(components) < most and (best := _best(state, [f.component for f in components], seed + len(components))):
+        components, state = [*components, best], best.state
     chosen = [f.component for f in components]
     if components:
         replaced, over = superfluous(state, extension.causes, chosen), {(c.coefficient, c.channel) for c in chosen}
-        lines = {n: term_of(state, n) for n in replaced}  # terms of a channel, of which a function of it has all
+        lines = {n: shapes.term_of(state, n) for n in replaced}  # terms of a channel, of which a function of it has all
         line = {n for n, t in lines.items() if t and any((t.component.coefficient, x) in over for x in t.term.channels)}
         replaced = tuple(name for name in replaced if name not in line)
     elif replaced:
@@ -93,14 +59,14 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
     bare = components[-1].state.without([name for name in replaced if name in components[-1].state.active])
     election = None if last is None or last.chosen is not None else last.screening
     for found in components:
-        if isinstance(found, FoundChange):
-            change = reported_change(bare, found, chosen, election)
+        if isinstance(found, shapes.FoundChange):
+            change = shapes.reported_change(bare, found, chosen, election)
             if not (change.between and set(change.ambiguous_with) & _constants(bare)):
                 changes.append(change)
         else:
             of = found.component
             unknown.append(UnexplainedStructure(of.coefficient, of.channel, found.share, found.p_value))
-    functions = tuple(found.component for found in components if not isinstance(found, FoundChange))
+    functions = tuple(found.component for found in components if not isinstance(found, shapes.FoundChange))
     return Left(tuple(unknown), replaced, tuple(changes), functions)
 
 
@@ -117,7 +83,7 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
         from_first = np.eye(len(at))[1:] - np.eye(len(at))[0]
         covariance = screening.uncertainty(state)[np.ix_(at, at)]
         size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
-        p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
+        p = float(chdtrc(len(size), size @ selection_state.inverse(covariance) @ size))
         if p > state.settings.block_false_alarm_rate:
             continue
         deviation = np.sqrt(np.diag(covariance))
@@ -146,12 +112,9 @@ def _constants(state: SelectionState) -> set[str]:
 def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
     """Named causes of which little is left once the components are in: they had stood in for them."""
     wide, least = state.with_components((), chosen), state.least_share(state.settings.unnamed_share)
-    dropped, deviance, count = [], wide.best.deviance, float(wide.products.count.sum())
-    for name in causes:
-        rest = removed(state, name).with_components((), chosen).best.deviance
-        if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < least:
-            dropped.append(name)
-    return tuple(dropped)
+    deviance, count = wide.best.deviance, float(wide.products.count.sum())
+    more = {n: removed(state, n).with_components((), chosen).best.deviance - deviance for n in causes}
+    return tuple(n for n, x in more.items() if 1.0 - np.exp(-max(x, 0.0) / count) < least)
 
 
 def withdrawn(extension: Extension, names: Sequence[str], sizes: Mapping[str, Size]) -> Extension:
@@ -161,44 +124,43 @@ def withdrawn(extension: Extension, names: Sequence[str], sizes: Mapping[str, Si
     return replace(extension, causes=causes, minor=minor, sizes={**extension.sizes, **sizes})
 
 
-def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
+def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> shapes.FoundComponent | None:
     """The component, or change, that explains what is left beyond chance and predicts left-out data best."""
     smooth = next(_functions(state, chosen, seed), None)
-    change = sought_change(state, chosen, seed=seed)
+    change = shapes.sought_change(state, chosen, seed=seed)
     if change is not None and (smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen)):
         return change
     return smooth
 
 
-def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) -> Iterator[FoundComponent]:
+def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) -> Iterator[shapes.FoundComponent]:
     """Those beyond chance, family by family, the highest score first."""
     tried, rate = state.settings.unnamed_tried, state.settings.unnamed_false_alarm_rate
-    for folds, components, least in families(state):
+    for folds, components, least in shapes.families(state):
         batches, leaders = in_batches(state, components, folds), list[tuple[float, Component]]()
         for batch in batches:
             trials, by_label = state.with_components(batch, chosen, folds), {c.label: c for c in batch}
-            scores = screening.screen(
-                trials, noise=screening.SharedNoise(seed, trials.folds, len(trials.outputs), trials.settings)
-            ).candidate_scores[:tried]
+            noise = screening.SharedNoise(seed, trials.folds, len(trials.outputs), trials.settings)
+            scores = screening.screen(trials, noise=noise).candidate_scores[:tried]
             leaders += [(standing.score, by_label[standing.effect]) for standing in scores]
         for _, component in sorted(leaders, key=lambda leader: -leader[0])[:tried]:
             trial = Trial(state, component, chosen, folds)
             if trial.gain > 0.0 and trial.share >= least:
                 p = trial.chance([state.with_components(batch, chosen, folds) for batch in batches], seed)
                 if p <= rate:
-                    yield FoundComponent(state, component, trial.share, p)
+                    yield shapes.FoundComponent(state, component, trial.share, p)
 
 
-def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent] | None:
+def _changing_in(extension: Extension, seed: int) -> tuple[float, shapes.FoundComponent] | None:
     """A change in place of the causes, and by how much more than they must it predicts."""
     state = extension.state
     bare = state.without(extension.causes)
-    if not testable(bare):
+    if not shapes.testable(bare):
         return None
-    parts, own = parts_of(state, state.settings.change_parts), state.full.own_columns(*extension.causes)
+    parts, own = shapes.parts_of(state, state.settings.change_parts), state.full.own_columns(*extension.causes)
     divided = replace(bare, products=Products.of(bare.residual / bare.noise_growth, bare.scaled, parts), folds=parts)
     of_causes = holdout_deviance_gain(divided, np.append(bare.columns(), own))
-    change = sought_change(bare, (), seed=seed, least=max(of_causes, 0.0))
+    change = shapes.sought_change(bare, (), seed=seed, least=max(of_causes, 0.0))
     margin = -math.inf if change is None else _margin(state, change.gained, of_causes)
     return (margin, change) if change is not None and margin > 0.0 else None
 
@@ -207,13 +169,13 @@ def _margin(state: SelectionState, gained: float, of_causes: float) -> float:
     return gained - state.settings.stand_in * max(of_causes, 0.0) - 6.0 * state.variance_inflation
 
 
-def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
+def _standing_in(extension: Extension) -> tuple[float, shapes.FoundComponent] | None:
     """The same of a function, of whose share a part must be left where the causes are in."""
     # A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts
     # less than a function of its own channel where the parameters of the model beside it extrapolate.
     state, best = extension.state, None
     own = state.full.own_columns(*state.active)
-    parts = [(f, batch, least) for f, every, least in families(state) for batch in in_batches(state, every, f)]
+    parts = [(f, batch, least) for f, every, least in shapes.families(state) for batch in in_batches(state, every, f)]
     for folds, components, least in parts:
         trial = state.with_components(components, (), folds)
         bare, every = trial.columns(()), trial.component_columns
@@ -228,7 +190,7 @@ def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
             margin, share = _margin(state, gained, of_causes), taken_out.share_of(every[i])
             left = trial.share_of(every[i]) if margin > 0.0 and share >= least else 0.0
             if left > 0.0 and left_beside(share, left, state.settings) and (best is None or margin > best[0]):
-                best = (margin, FoundComponent(state, components[i], share, float("nan")))
+                best = (margin, shapes.FoundComponent(state, components[i], share, float("nan")))
     return best
 
 
@@ -292,7 +254,6 @@ def terms_of_coefficient(
         return []
 
     def gain(components: Sequence[Component]) -> float:
-        """Deviance of left-out folds that components gain together."""
         wide = state.with_components((), components)
         return holdout_deviance_gain(wide, wide.columns(), state.columns())
 
@@ -320,12 +281,9 @@ def leader(
     rest = [c for c in columns if c.component.label not in labels]
     trial = state.with_components([c.component for c in rest], [c.component for c in chosen])
     fit = trial.best
-    projected, n = (
-        screening.PartialledRegression(trial, fit, trial.component_columns),
-        float(trial.products.count.sum()),
-    )
+    projected = screening.PartialledRegression(trial, fit, trial.component_columns)
     place, bread = np.array([p[0] for p in projected.place]), np.array([b[0, 0] for b in projected.bread])
-    right = projected.right(trial.left())[place]
+    right, n = projected.right(trial.left())[place], float(trial.products.count.sum())
     gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
     order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
     best = trial.fit(trial.wider(trial.component_columns[order[0]]))
@@ -356,7 +314,6 @@ def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.
 
 
 def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[FoundTerm, ...]:
-    """All terms fitted together, beside the parameters of the model."""
     whole = state.with_components((), components_of(terms))
     fit, errors = whole.best, screening.jackknife_errors(whole, state.responses.parts)
     deviation = np.maximum(np.sqrt(np.diag(screening.uncertainty(whole))), errors)
@@ -369,17 +326,11 @@ def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[F
     return tuple(sizes)
 
 
-# --- Where a model meets the record in flight.
-
-
 def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
     """Terms of all coefficients, the first added first."""
     library = [columns_of(state, name) for name in state.responses.model.coefficients]
     left = list[SelectedTerm]()
-    for number in range(state.settings.unnamed_most):
-        best = _next(state, library, left, seed + number)
-        if best is None:
-            break
+    while len(left) < state.settings.unnamed_most and (best := _next(state, library, left, seed + len(left))):
         left.append(best)
     left = reconsidered(state, left)
     while left:  # those of which, beside the others, nothing sure is left go out, the least sure first
@@ -463,9 +414,6 @@ class Forms(NamedTuple):
     unknown: tuple[UnexplainedStructure, ...] = ()  # the structure that terms of flights describe
 
 
-SHOWN = 4  # parts of a form that are listed beside a cause
-
-
 @dataclass(frozen=True, eq=False)
 class _Model:
     """What explains the flights: a state with its additions and offsets, terms, and polynomials for what is left."""
@@ -483,7 +431,7 @@ class _Model:
         return (*components_of(self.terms), *self.functions)
 
     @cached_property
-    def fitted(self) -> tuple[RegressionFit, Float[np.ndarray, "m c"]]:
+    def fitted(self) -> tuple[selection_state.RegressionFit, Float[np.ndarray, "m c"]]:
         """The fit of `wide` and what it leaves, from the columns that are in alone."""
         state, bases, columns = self.state, [one.basis for one in self.components], self.state.columns()
         S = np.concatenate([state.S[:, :, columns], *bases], axis=2) / state.noise_growth[:, :, None]
@@ -502,7 +450,6 @@ class _Model:
         return float(causes + offsets + functions + sum(one.cost for one in self.terms))
 
     def less(self, item: str | SelectedTerm) -> _Model:
-        """Without a term, a cause, or the offsets of a coefficient; the others as they were."""
         state = self.state
         if isinstance(item, SelectedTerm):
             return replace(self, terms=tuple(term for term in self.terms if term is not item))
@@ -525,7 +472,6 @@ class _Model:
         return self.state.settings.degrades(*after.gain(before))
 
     def curved(self, curves: Sequence[Component]) -> _Model:
-        """With each function that earns its cost."""
         model = self
         for curve in curves:
             wider = replace(model, functions=(*model.functions, curve))
@@ -533,7 +479,7 @@ class _Model:
         return model
 
     def refitted(self) -> _Model:
-        return replace(self, state=moved(self.state, optimum(self.wide, range(len(self.state.folds)))))
+        return replace(self, state=moved(self.state, selection_state.optimum(self.wide, range(len(self.state.folds)))))
 
     def eliminated(self, items: Sequence[str], curves: Sequence[Component]) -> _Model:
         """Without what does not earn its cost, the least useful first; functions may take the place of causes."""
@@ -549,19 +495,18 @@ class _Model:
             model = best if best.state is model.state else best.refitted()
 
     def with_terms_for(self, name: str) -> _Model:
-        """With terms, and functions, in place of one cause."""
         state = _without(self.state, [name], self.state.apart)
         reached = _reached(state, self.state, ())
         terms = tuple(_beside(state, reached, self.terms, [name], self.state))
-        curves = [curve for coefficient in reached for curve in polynomials(state, coefficient)]
+        curves = [curve for coefficient in reached for curve in shapes.polynomials(state, coefficient)]
         return _Model(state, terms, self.functions).curved(curves)
 
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     """Terms for all structure that is `left`; periods have none."""
-    instead = contest(extension, left)
-    if instead.terms or instead.replaced:
-        return instead
+    forms = contest(extension, left)
+    if forms.terms or forms.replaced:
+        return forms._replace(unknown=described(left.unknown, forms))
     by_coefficient: dict[str, list[Component]] = {}
     for function in left.functions:
         if not function.periodic:
@@ -572,10 +517,11 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
 
     bare = extension.state.without([name for name in left.replaced if name in extension.state.active])
     causes = [name for name in extension.causes if name not in left.replaced]
-    return _with_terms(instead, bare, causes, sought)[0]
+    forms, _ = _with_terms(forms, bare, causes, sought)
+    return forms._replace(unknown=described(left.unknown, forms))
 
 
-def flown_forms(extension: Extension, *, seed: int, progress: Progress = quiet) -> Forms:
+def flown_forms(extension: Extension, *, seed: int, progress: Progress = selection_state.quiet) -> Forms:
     """Terms of all coefficients for what an extended model leaves of trajectories or innovations."""
     progress("terms", 0.0)
     instead, terms = contest(extension), list[SelectedTerm]()
@@ -604,14 +550,10 @@ def described(unknown: Sequence[UnexplainedStructure], forms: Forms) -> tuple[Un
     """Structure by the first function that shows it, where terms describe all of it."""
     by_coefficient = {term.coefficient: term for term in reversed(forms.terms)}
     first = {u.coefficient: u for u in reversed(unknown)}
-    more = [
-        UnexplainedStructure(c, t.term.name, t.share, float("nan")) for c, t in by_coefficient.items() if c not in first
-    ]
-    more += [
-        UnexplainedStructure(function.coefficient, function.channel, share, float("nan"))
-        for function, share in forms.functions
-        if function.coefficient not in {**first, **by_coefficient}
-    ]
+    shapes, named = [(c, t.term.name, t.share) for c, t in by_coefficient.items()], {**first, **by_coefficient}
+    shapes = [shape for shape in shapes if shape[0] not in first]
+    shapes += [(f.coefficient, f.channel, share) for f, share in forms.functions if f.coefficient not in named]
+    more = [UnexplainedStructure(*shape, float("nan")) for shape in shapes]
     return (*(u for u in unknown if u.coefficient not in by_coefficient or u is first[u.coefficient]), *more)
 
 
@@ -622,7 +564,7 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
     # what does not earn its cost goes out, the least useful first.
     state, causes = extension.state, extension.causes
     aerodynamic = {e.name for e in state.full.candidates if e.kind is Kind.AERODYNAMICS}
-    columns = {name: term_of(state, name) for name in causes if name in aerodynamic}
+    columns = {name: shapes.term_of(state, name) for name in causes if name in aerodynamic}
     named = {name: c.component for name, c in columns.items() if c is not None and _is_smooth(c.term)}
     rest = [name for name in causes if name not in named]
     if not (rest or state.apart):
@@ -641,7 +583,7 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
         out = [*(name for name in named if name not in alone), *left.replaced]
         more = tuple(one for one in terms if one.column.component.label not in same)
         models += [_Model(_without(state, out, state.apart), more)] if more else []
-    curves = [one for coefficient in reached for one in polynomials(named_only, coefficient)]
+    curves = [one for coefficient in reached for one in shapes.polynomials(named_only, coefficient)]
     bare = [replace(model, state=_without(model.state, rest, ())) for model in models]
     wholes, items = [model.curved(curves).refitted() for model in bare], [*rest, *state.apart]
     tried = [model.eliminated(items, whole.functions) for model, whole in zip(models, wholes, strict=True)]
@@ -689,7 +631,7 @@ def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]
 
 def _is_smooth(term: ProductTerm) -> bool:
     """Whether it is a function of the state of motion: memory and separated flow are none."""
-    return all(f.code is not None and f is not SEPARATED for f in term.factors)
+    return all(f.code is not None and f is not shapes.SEPARATED for f in term.factors)
 
 
 def _beside(
@@ -742,13 +684,12 @@ def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> di
         labels = [one.label for one in other.components if one.label not in had]
         if not (gone and labels) or (lost := best.beyond(other)) >= settings.ambiguous or other.degrades(best):
             continue
-        form = ", ".join(labels[:SHOWN]) + (f" and {len(labels) - SHOWN} more" if len(labels) > SHOWN else "")
-        rivals |= {name: (f"a form ({form})", lost) for name in gone if name not in rivals or lost < rivals[name][1]}
+        form = f"a form ({', '.join(labels)})"
+        rivals |= {name: (form, lost) for name in gone if name not in rivals or lost < rivals[name][1]}
     return rivals
 
 
 def _sizes_beside(model: _Model, causes: Sequence[str]) -> dict[str, Size]:
-    """Parameters of causes beside terms and polynomials, to first order."""
     wide = model.wide
     fit, free = wide.best, wide.full.model.free
     sds = np.sqrt(np.diag(screening.uncertainty(wide)))

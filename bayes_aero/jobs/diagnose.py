@@ -26,7 +26,7 @@ from bayes_aero.diagnosis.diagnose import (
 )
 from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis, Trajectories, View
 from bayes_aero.diagnosis.selection_state import DiagnosisSettings
-from bayes_aero.diagnosis.trajectories import compare_trajectories, with_tested
+from bayes_aero.diagnosis.trajectories import beyond_noise, compare_trajectories
 from bayes_aero.dynamics.pilot import ANYWHERE
 from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind
@@ -136,7 +136,7 @@ def follow_up(
             if (flown := kept.result.view.trajectories) is not None:
                 held = {name for names in flown.held.values() for name in names}
                 diagnosis = judged_on_held_out_flights(diagnosis, flown.asked, held)
-            kept.keep(view={"diagnosis": with_tested(diagnosis, flown, records, card)})
+            kept.keep(view={"diagnosis": diagnosis.judged(tested=beyond_noise(flown, records, card))})
             if not options.trajectories and diagnosis.causes:
                 kept.keep(["Without trajectories no cause was tested on hold-out flights."])
         elif (flown := kept.result.view.trajectories) and (doubt := sensors_not_missed(diagnosis, flown.asked)).missed:

@@ -37,6 +37,7 @@ from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Envelope, required_of
 from bayes_aero.processes import cores
 from bayes_aero.progress import Progress
+from bayes_aero.qualification import FlightKind
 from bayes_aero.residuals.equation_error import EquationError
 
 Vector = Float[np.ndarray, " k"]
@@ -137,19 +138,15 @@ class Structure:
         growth = SeparatedFlow(errors, separated, inside).growths() if np.ptp(separated[inside]) > 0.0 else 0.0
         growth = growth + np.zeros(errors.shape[2])
         sized = errors / (1.0 + growth * separated[:, :, None])
-        folds, rests = [], []
-        for error, real, step in zip(sized, inside, dt, strict=True):
-            means, rest = _means(error[real], step)
-            folds.append(means.T)
-            rests.append(rest)
-        fast = np.sqrt(np.mean(np.concatenate(rests) ** 2, axis=0))
-        slow = np.mean(np.concatenate([f.T for f in folds]) ** 2, axis=0)
-        long = [f for f in folds if f.shape[1] >= SHORTEST]
+        parts = [_means(error[real], step) for error, real, step in zip(sized, inside, dt, strict=True)]
+        fast = np.sqrt(np.mean(np.concatenate([rest for _, rest in parts]) ** 2, axis=0))
+        slow = np.mean(np.concatenate([means for means, _ in parts]) ** 2, axis=0)
+        long = [means.T for means, _ in parts if len(means) >= SHORTEST]
         phi = autoregression(long)[0] if long else np.zeros((len(slow), ORDER))
         white = np.mean((fast * (1.0 + growth * separated[inside][:, None])) ** 2, axis=0)
         total = np.maximum(np.mean(errors[inside] ** 2, axis=0) - white, 1e-300)
         left = np.maximum(1.0 - explained / total, 0.0)
-        gained = np.array([_mean_square_from_zero(one, [f.shape[1] for f in folds]) for one in phi])
+        gained = np.array([_mean_square_from_zero(one, [len(means) for means, _ in parts]) for one in phi])
         return cls(phi, np.sqrt(slow * left / gained), fast, growth, SIZES * len(errors), left)
 
     def draws(
@@ -201,18 +198,9 @@ def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int])
     return float(np.cumsum(variances)[np.array(lengths) - 1].sum() / sum(lengths))
 
 
-# --- How probably each test passes.
-
 CENTRAL = (0.025, 0.975)
 DRAWS = 40  # for the mean square that parameters or gusts explain
 FAR = 1e30  # of a flight that left the envelope
-
-
-class HoldOut(NamedTuple):
-    """Errors (w, n, c) of manoeuvres that were not fitted, and the mean squares (c,) that parameters explain, SI."""
-
-    errors: Float[np.ndarray, "w n c"]
-    explained: Float[np.ndarray, " c"]
 
 
 @dataclass(frozen=True)
@@ -224,8 +212,9 @@ class Uncertain:
     following: Float[np.ndarray, "m k"] | None = None
     """Of the next flight's; None where their scatter between manoeuvres is not known. They are used where they do not
     make flights differ by more than flights left out did."""
-    hold_out: HoldOut | None = None
-    """Errors of manoeuvres that were not fitted; None: those of the fitted ones stand for them."""
+    hold_out: tuple[Float[np.ndarray, "w n c"], Float[np.ndarray, " c"]] | None = None
+    """Errors of manoeuvres that were not fitted, and the mean squares of them that parameters explain, SI; None: errors
+    of the fitted ones stand for them."""
     fitted: bool = True  # to these trajectories, whose errors then do not hold those of the parameters
     gusts: Mapping[str, float] = field(default_factory=dict)  # intensities and lengths by parameter; empty in calm air
     met: bool = True  # whether the records met these gusts, so that their errors hold them
@@ -235,7 +224,7 @@ class Uncertain:
 class OpenTest:
     """An undecided test: what drawn parameters and all else add to each of m flights at n samples, SI."""
 
-    kind: qualification.FlightKind
+    kind: FlightKind
     manoeuvre: str
     output: str
     tolerance: float
@@ -249,12 +238,10 @@ class OpenTest:
 
     @property
     def worst(self) -> int:
-        """The sample that most often leaves the band."""
         total = np.nan_to_num(self.by_parameters + self.by_all_else, nan=np.inf)
         return int(np.argmax(np.quantile(np.abs(total), qualification.PASSES_FROM, axis=0)))
 
     def probability(self, change: Float[np.ndarray, "m n"] | float = 0.0) -> float:
-        """To pass, where the part by the parameters changes by this."""
         flights = np.nan_to_num(self.by_parameters + change + self.by_all_else, nan=np.inf)
         return float(np.mean(np.all(np.abs(flights) <= self.tolerance, axis=1)))
 
@@ -268,8 +255,8 @@ class QualifiedFlights(NamedTuple):
     undecided: tuple[OpenTest, ...]
 
 
-_Case = tuple[qualification.FlightKind, SegmentTrajectories, int, Float[np.ndarray, "m k"], Structure]
-"""A manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain."""
+# A manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain.
+_Case = tuple[FlightKind, SegmentTrajectories, int, Float[np.ndarray, "m k"], Structure]
 
 
 def qualify(
@@ -290,7 +277,7 @@ def qualify(
         judged += results
         strips.append(strip)
         undecided += still if case[3] is unknown.draws else []
-        if case[0] is qualification.FlightKind.NEXT:
+        if case[0] is FlightKind.NEXT:
             scattered = case[3] is unknown.following
     return QualifiedFlights(tuple(judged), tuple(strips), scattered, tuple(undecided))
 
@@ -316,7 +303,7 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
 
     by_gusts = explained(unknown.draws, gusts=True) if unknown.gusts and unknown.met else nothing
     own = nothing if unknown.fitted else explained(unknown.draws)
-    held = unknown.hold_out or HoldOut(fitted, own)
+    unseen, explained_unseen = unknown.hold_out or (fitted, own)
 
     def structure(error: Float[np.ndarray, "w n c"], explained: Float[np.ndarray, " c"]) -> Structure:
         shown, least = (np.mean(x[flown.inside] ** 2, axis=0) for x in (error, fitted))
@@ -325,21 +312,19 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), taken)
 
     again = structure(fitted, own)
-    cases: list[_Case] = [
-        (qualification.FlightKind.AGAIN, flown, k, unknown.draws, again) for k in range(len(flown.index))
-    ]
-    left_out = structure(held.errors, held.explained)
+    cases: list[_Case] = [(FlightKind.AGAIN, flown, k, unknown.draws, again) for k in range(len(flown.index))]
+    left_out = structure(unseen, explained_unseen)
     if tests is not None:
-        cases += [(qualification.FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
+        cases += [(FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
     if unknown.following is None and unknown.hold_out is None:
         return cases
     draws, ahead = unknown.draws, left_out
     if unknown.following is not None:
         scatter = explained(unknown.following)
-        shown = np.mean(held.errors[flown.inside] ** 2, axis=0)
+        shown = np.mean(unseen[flown.inside] ** 2, axis=0)
         if np.median(scatter / np.maximum(shown, 1e-300)) <= 1.0 or unknown.hold_out is None:
-            draws, ahead = unknown.following, structure(held.errors, scatter)
-    cases += [(qualification.FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
+            draws, ahead = unknown.following, structure(unseen, scatter)
+    cases += [(FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
     return cases
 
 
@@ -360,7 +345,7 @@ def _judged(
     chances, limits = {}, np.array([bands[n] for n in outputs])
     for counted in ("parameters", "structure", *(("gusts",) if unknown.gusts else ())):
         if counted == "structure":
-            recorded = error if kind is qualification.FlightKind.AGAIN else None
+            recorded = error if kind is FlightKind.AGAIN else None
             flights = flights + structure.draws(len(flights), separated, dt, rng, recorded)
         if counted == "gusts":
             flights = flights + gust_spread(alone, draws, unknown.gusts, rng)
@@ -372,7 +357,7 @@ def _judged(
     for c, output in enumerate(outputs):
         beside = qualification.RecordBeside(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
         by = {counted: each[c] for counted, each in chances.items()}
-        shown = None if kind is qualification.FlightKind.NEXT else beside
+        shown = None if kind is FlightKind.NEXT else beside
         tests.append(qualification.Test(kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
         if tests[-1].chance.verdict is qualification.ToleranceVerdict.UNDECIDED:
             parts = by_parameters[:, keep, c], rest[:, keep, c]
@@ -436,18 +421,13 @@ def further_flights(
         full = CandidateModel(model, tuple(e.name for e in model.effects if e.parameters), (), {})
         state = linearised(full, EquationError.of(flights, model), model.coefficients, full.vector(values))
         variants = variants_of(state, (), envelope)
-        possible = [
-            point._replace(information=precision_of(point.information, names, scale[moving]))
-            for point in possible_points(state, variants, (), noise_of(state), envelope)
-        ]
+        flown = possible_points(state, variants, (), noise_of(state), envelope)
+        possible = [x._replace(information=precision_of(x.information, names, scale[moving])) for x in flown]
         refused = refused_points(variants, envelope)
         points = best_points(possible, np.zeros_like(first), nats=nats, expected=expected, decided=decided)
-    present = [test.probability() for test in tests]
-    questions = [
-        qualification.OpenTolerance(t.kind, t.manoeuvre, t.output, *x)
-        for t, *x in zip(tests, present, known, strict=True)
-    ]
-    return qualification.Further(tuple(questions), tuple(points), refused)
+    pairs = zip(tests, known, strict=True)
+    about = [(t.kind, t.manoeuvre, t.output, t.probability(), chance) for t, chance in pairs]
+    return qualification.Further(tuple(qualification.OpenTolerance(*x) for x in about), tuple(points), refused)
 
 
 def _after(first: Float[np.ndarray, "k k"], information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
@@ -482,13 +462,14 @@ NEGLIGIBLE = 1e-8  # eigenvalue of an information matrix over its largest
 
 
 def fits_without(fit: OutputErrorResult, noise: FlightNoise) -> list[OutputErrorResult]:
-    """For each manoeuvre the fit to all others."""
     candidate = CandidateFit("qualified", fit)
     silent = {candidate.name: {k: {} for k in range(len(fit.flown.index))}}
     return [fit_without for _, fit_without in left_out([candidate], silent, noise)]
 
 
-def hold_out(wide: SegmentTrajectories, fits: list[OutputErrorResult], inflation: float, seed: int) -> HoldOut | None:
+def hold_out(
+    wide: SegmentTrajectories, fits: list[OutputErrorResult], inflation: float, seed: int
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Errors of every manoeuvre by the fit without it; None where one of these fits cannot fly it."""
     unseen, explained = [], []
     for k, fit in enumerate(fits):
@@ -499,7 +480,7 @@ def hold_out(wide: SegmentTrajectories, fits: list[OutputErrorResult], inflation
         draws = posterior_draws(fit, inflation, seed, DRAWS)
         unseen.append(error[0])
         explained.append(mean_square(spread(alone, fit.estimate, draws)[:, alone.inside[0]]))
-    return HoldOut(np.stack(unseen), np.average(explained, axis=0, weights=wide.inside.sum(axis=1)))
+    return np.stack(unseen), np.average(explained, axis=0, weights=wide.inside.sum(axis=1))
 
 
 def mean_square(apart: Float[np.ndarray, "m n c"]) -> Float[np.ndarray, " c"]:
@@ -559,7 +540,6 @@ NOTABLE = 0.1  # of the scale: a smaller distance is the noise of the samples th
 
 
 def nearest(points: Float[np.ndarray, "n k"], sample: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """The point of the convex hull of `points` that is nearest to `sample`."""
     moved = (points - sample).T
     size = max(1.0, float(np.min(np.linalg.norm(moved, axis=0))))  # far samples, too, are solved to rounding
     weights, _ = nnls(np.vstack([moved / size, np.ones(moved.shape[1])]), np.append(np.zeros(len(moved)), 1.0))

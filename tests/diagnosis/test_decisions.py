@@ -114,7 +114,7 @@ def test_additions_go_out_the_least_missed_first_and_are_fitted_again_in_doubt(g
         return Told(effects, gains, of_Cm)
 
     first_order = partial(Told, gains={name: factor * x for name, x in gains.items()}, of_Cm=of_Cm)
-    found = backward_elimination(tuple(gains), first_order, again)
+    found = backward_elimination(tuple(gains), first_order, again, DEFAULT)
     assert "".join(found.kept) == kept
     assert refits == refitted or of_Cm
     assert found.harmed == ({} if kept != "b" else of_Cm and {"a": {"Cm": of_Cm["a"]}})
@@ -143,7 +143,7 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
             paths = [part(SimulatedManoeuvre, measured=x, **rest) for x in halves]
             return left_out_of(paths, flown, 2.0)
 
-        found = backward_elimination(("rudder_moment",), unseen, unseen)
+        found = backward_elimination(("rudder_moment",), unseen, unseen, DEFAULT)
     else:
         monkeypatch.setattr(LeftOut, "first_order", lambda state, effects: LeftOut._of(state, left(effects)))
         monkeypatch.setattr(LeftOut, "refitted", lambda told: LeftOut._of(told[0], left(told[1])))
@@ -440,7 +440,7 @@ def test_what_stands_in_for_structure_tells_where_and_how_much(diagnosed):
     extensions = {found.stage: d.aerodynamics}
     for share, output, taken in ((0.01, "Cm", True), (0.01, "CL", False), (0.03, "Cm", False)):
         one = replace(found, own_share=share)
-        names = decided.stand_ins([one], extensions, [UnexplainedStructure(output, "phi", 0.5, 0.01)])
+        names = decided.stand_ins([one], extensions, {output})
         assert names == ((found.name,) if taken else ())
         assert decided.attributed([one], stand_ins=names) == (((), (), (one,)) if taken else ((one,), (), ()))
     # The hidden curvature of the pitching moment, as if five others explained it as well.

@@ -26,6 +26,7 @@ from bayes_aero.diagnosis.selection_state import (
     candidate_model,
     manoeuvres,
     moved,
+    quiet,
 )
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
@@ -344,7 +345,7 @@ def searched(tmp_path, seed, times, left_out=None, scale=1.0):
     full = candidate_model(model, flights)
     fit, theta = fit_mle(model, observe(records, card, model), seed=0), full.neutral_vector
     theta[full.columns(fit.names)] = fit.estimate
-    return search_in_stages(full, EquationError.of(flights, full.model), theta, seed=0)
+    return search_in_stages(full, EquationError.of(flights, full.model), theta, seed=0, progress=quiet)
 
 
 @pytest.mark.verify

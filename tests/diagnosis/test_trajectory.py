@@ -38,7 +38,6 @@ from bayes_aero.diagnosis.selection_state import (
     DiagnosisSettings,
     candidate_model,
     constants_of_manoeuvres,
-    lag_of,
 )
 from bayes_aero.diagnosis.trajectories import (
     beyond_noise,
@@ -216,7 +215,7 @@ def test_errors_are_judged_by_the_noise_that_the_card_states(card):
     flown = halves(record)
     for sd, beyond in ((np.radians(0.1), False), (np.radians(0.02), True)):
         stated = replace(card, sensors={"alpha": sd, "airspeed": 0.3})
-        found = beyond_noise(flown, [record], stated)["alpha"]
+        found = beyond_noise(flown, [record], stated).outputs["alpha"]
         assert found.noise == pytest.approx(sd)
         assert found.fitted == pytest.approx(np.radians(0.1))
         assert found.beyond is beyond
@@ -248,9 +247,9 @@ def asked(card, hidden, seed):
     model = Model.from_card(card)
     flights, fit, noise = fitted_to_stalls(card, model, hidden, seed)
     full = candidate_model(model, flights)
-    plain, effect = hold_out.CandidateFit("extended", fit), lag_of(full)
+    plain, effect = hold_out.CandidateFit("extended", fit), full.lag
     wider = replace(model.extended(), fixed=())
-    lagged, lag = hold_out.with_lag(wider, effect, plain, noise, flights)
+    lagged, lag = hold_out.with_lag(wider, effect, plain, noise)
     if not lag.gains:
         return lag, lagged
     silent = {c.name: {0: {}, 1: {}} for c in (plain, lagged)}

@@ -18,7 +18,6 @@ from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.qualification import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
 from bayes_aero.qualification.qualify import (
     BLOCK_SECONDS,
-    HoldOut,
     OpenTest,
     Region,
     Structure,
@@ -84,7 +83,7 @@ def test_white_errors_of_the_structure(flown):
     rng = np.random.default_rng(2)
     errors = 0.3 * rng.standard_normal((2, N, 1))
     size = float(np.sqrt(np.mean(errors**2)))
-    given = unknown(flown, rng, sd=0.0, hold_out=HoldOut(errors, np.zeros(1)))
+    given = unknown(flown, rng, sd=0.0, hold_out=(errors, np.zeros(1)))
     band = 0.9
     tests = qualify(flown, None, given, {"az": band}).tests
     assert chance(tests).chance.value == 1.0  # flown again: the records have no error
@@ -107,14 +106,14 @@ def test_scatter_that_flights_left_out_do_not_show_is_not_used(flown):
     rng = np.random.default_rng(5)
     given, wider = unknown(flown, rng, sd=0.0), unknown(flown, rng, sd=1.3)
     for error, used in ((0.1, False), (2.0, True)):
-        left_out = HoldOut(error * rng.standard_normal((2, N, 1)), np.zeros(1))
+        left_out = (error * rng.standard_normal((2, N, 1)), np.zeros(1))
         found = qualify(flown, None, Uncertain(given.estimate, given.draws, wider.draws, left_out), {"az": 1.0})
         assert found.scattered is used
     assert qualify(flown, None, given, {"az": 1.0}).scattered is None
 
 
 def test_the_same_seed_draws_the_same_flights_with_the_errors_of_a_binomial(flown):
-    given = unknown(flown, np.random.default_rng(4), hold_out=HoldOut(np.ones((2, N, 1)), np.zeros(1)))
+    given = unknown(flown, np.random.default_rng(4), hold_out=(np.ones((2, N, 1)), np.zeros(1)))
     few = Uncertain(given.estimate, given.draws[:100], given.draws[:100], given.hold_out)
     one, two, other = (qualify(flown, None, few, {"az": 1.0}, seed=seed).tests for seed in (1, 1, 2))
     assert one == two
