@@ -10,16 +10,16 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 43084,
-    "bayes_aero: files": 130,
-    "bayes_aero: private helpers used once": 239,
-    "bayes_aero: class names with several meanings": 1,
-    "tests: lines": 24796,
+    "bayes_aero: lines": 41951,
+    "bayes_aero: files": 129,
+    "bayes_aero: private helpers used once": 234,
+    "bayes_aero: class names with several meanings": 0,
+    "tests: lines": 24815,
     "tests: files": 91,
     "benchmarks: lines": 4799,
     "benchmarks: files": 28,
     "benchmarks/README.md: lines": 248,
-    "CHANGELOG.md: lines": 150,
+    "CHANGELOG.md: lines": 147,
     "docs: words": 24699,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
