@@ -269,7 +269,7 @@ def groups_of(parsed):
         listed.append({"name": str(name)[:200], "columns": described})
         arrays += [np.asarray(time, np.float64), *(values for _, _, values in columns)]
     if (claimed := sum(array.nbytes for array in arrays)) > MOST_BYTES:
-        raise ValueError(f"it unpacks to {claimed} bytes, more than {MOST_BYTES}")
+        raise ValueError(f"it unpacks to {claimed} bytes, more than {MOST_BYTES}: cut the record")
     return {"groups": listed, "remarks": [str(remark)[:500] for remark in remarks]}, arrays
 
 
