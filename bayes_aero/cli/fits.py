@@ -79,9 +79,13 @@ def identify(
 def diagnose(
     reading: ReadingOptions,
     options: DiagnoseOptions,
-    records: Annotated[list[Path] | None, typer.Argument(help=f"{terminal.RECORDS}; none: two simulated.")] = None,
+    records: Annotated[
+        list[Path] | None, typer.Argument(help=f"{terminal.RECORDS}; none: two simulated, with a hidden effect.")
+    ] = None,
     out: terminal.OutOption = Path("diagnosis"),
-    write_effect: Annotated[Path | None, typer.Option(help="File (.py) for terms as effects.", metavar="FILE")] = None,
+    write_effect: Annotated[
+        Path | None, typer.Option(help="Effect file (.py) to write, of the terms found.", metavar="FILE")
+    ] = None,
     json: terminal.JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: size, uncertainty, rivals, and the gain on hold-out data.
@@ -208,7 +212,9 @@ def conclude_fit(found: Flight, out: Path, *, json: bool, compared: bool = True,
 
 
 def export(
-    result: Annotated[str, typer.Argument(help="A result, or a card that states every value.", metavar="MODEL")],
+    result: Annotated[
+        str, typer.Argument(help="Folder (or JSON) of a result, or a card with all values.", metavar="MODEL")
+    ],
     to: Annotated[ExportForm, typer.Option(help="jsbsim: an aircraft; fmu: FMI 2.0; tables: NetCDF and CSV.")],
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: NAME_FORM, here.")] = None,
     model: terminal.ResultCardOption = None,
@@ -270,7 +276,7 @@ def open(
 def qualify(
     result: terminal.ResultArgument,
     options: QualifyOptions,
-    records: Annotated[list[Path] | None, typer.Argument(help=f"Not fitted: {terminal.RECORDS}.")] = None,
+    records: Annotated[list[Path] | None, typer.Argument(help=f"Further tests: {terminal.RECORDS}.")] = None,
     out: terminal.OutOption = Path("qualification"),
     json: terminal.JsonOption = False,
 ) -> None:

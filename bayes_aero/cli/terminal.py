@@ -36,11 +36,11 @@ SUFFIXES = ".csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc"
 RECORDS = f"Flight records ({SUFFIXES}), or parts of them, FILE@FROM:TO in seconds"
 
 RecordsArgument = Annotated[list[Path], typer.Argument(help=f"{RECORDS}.")]
-ResultArgument = Annotated[str, typer.Argument(help="Folder of identify, fly or diagnose.", metavar="RESULT")]
+ResultArgument = Annotated[str, typer.Argument(help="Folder (or JSON file) of a result.", metavar="RESULT")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else on stdout.")]
 SeedOption = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Same seed, same machine: same numbers.")]
 OutOption = Annotated[Path, typer.Option(help="Folder for the results.")]
-ResultCardOption = Annotated[str | None, typer.Option(help="Its card, where it is not found.", metavar="CARD")]
+ResultCardOption = Annotated[str | None, typer.Option(help="The result's card, if not found.", metavar="CARD")]
 Command = TypeVar("Command", bound=Callable[..., None])
 
 

@@ -675,6 +675,9 @@ def _best_model(start: _Model, models: Sequence[_Model]) -> _Model:
     return max(filter(able, models), key=lambda model: model.beyond(start), default=start)
 
 
+SHOWN = 4  # parts of a form that are listed beside a cause
+
+
 def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> dict[str, tuple[str, float]]:
     """Forms of `others`, or in place of one cause, that explain as well as causes, and by how many nats less."""
     settings, rivals = best.state.settings, dict[str, tuple[str, float]]()
@@ -684,7 +687,8 @@ def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> di
         labels = [one.label for one in other.components if one.label not in had]
         if not (gone and labels) or (lost := best.beyond(other)) >= settings.ambiguous or other.degrades(best):
             continue
-        form = f"a form ({', '.join(labels)})"
+        more = f" and {len(labels) - SHOWN} more" if len(labels) > SHOWN else ""
+        form = f"a form ({', '.join(labels[:SHOWN])}{more})"
         rivals |= {name: (form, lost) for name in gone if name not in rivals or lost < rivals[name][1]}
     return rivals
 

@@ -47,7 +47,8 @@ def fitted_records(
     found = []
     for row in provenance["inputs"]:
         if row.get("read") is None or "content" not in row:
-            raise InputError(f"record {row['name']} of {result} was made in memory; write it to a file first")
+            how = "in memory, or by an earlier version; run the command again with a file"
+            raise InputError(f"record {row['name']} of {result} was made {how}")
         path = Path(row["read"]["path"])
         places = [*(segment_of(file).file for file in files), *(folder / path.name for folder in folders)]
         for folder in (Path(), result.parent, result.parent.parent):
@@ -236,7 +237,8 @@ TRIES = 50  # times as many normal draws are made until enough lie within the bo
 
 
 def no_draws(name: str) -> InputError:
-    return InputError(f"{name}: no posterior that converged nor a covariance; run the command of the result again")
+    mend = "run the command of the result again, or leave --draws out"
+    return InputError(f"{name}: there is no posterior that converged and no covariance to draw from; {mend}")
 
 
 def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) -> Draws:
@@ -275,7 +277,9 @@ def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) 
     draws = np.array([found.values[name] for name in names]) + (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     draws = draws[np.all((draws >= low) & (draws <= high), axis=1)][:count]
     if len(draws) < count:
-        raise InputError(f"{found.name}: draws of {', '.join(names)} lie beyond the bounds; sample the posterior")
+        raise InputError(
+            f"{found.name}: draws of {', '.join(names)} lie beyond the bounds; sample it (identify, fly --posterior)"
+        )
     held = [name for name in wanted if name not in names]
     of = "of the fit with process noise" if result.filtered else "corrected for coloured residuals"
     held_text = f"; {', '.join(held)} held at the estimate" if held else ""

@@ -364,7 +364,9 @@ def corrected_files(records: Sequence[FlightRecord], folder: Path) -> list[Path]
         paths = (folder / f"{name}{'' if k == 1 else f'_{k}'}.csv" for k in count(1))
         path = next(path for path in paths if path not in found)
         if path.exists() and path not in own:
-            raise InputError(f"{path} is not as bayes-aero path wrote it, and would be replaced; move it")
+            raise InputError(
+                f"{path} is not as bayes-aero path wrote it, and would be replaced; move it, or give another --out"
+            )
         found.append(path)
     return found
 

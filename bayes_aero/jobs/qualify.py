@@ -157,7 +157,9 @@ def _segments(
     bands = {n: card.tolerances[n].value for n in there if n in card.tolerances}
     for name in outputs:
         if name not in bands:
-            raise InputError(f"record {records[0].name} has no channel {name}, which has a tolerance; leave it out")
+            raise InputError(
+                f"record {records[0].name} has no channel {name}, which has a tolerance; leave the record out"
+            )
     if not bands:
         raise InputError(f"card {card.name} has no tolerance of {', '.join(there)}; state one under [tolerances]")
     chosen = outputs or tuple(bands)

@@ -132,7 +132,8 @@ def _flights(
         kept = slice(demo.MARGIN, demo.MARGIN + lengths[number])
         flown = {key: x[kept] for key, x in everything.items()}
         if left := ENVELOPE.left_by(excursion(flown)):
-            raise InputError(f"with {', '.join(effects) or 'nothing'} hidden the flight leaves its envelope: {left}")
+            hidden = ", ".join(effects) or "nothing"
+            raise InputError(f"with {hidden} hidden the flight leaves its envelope: {left}; make effects smaller")
         # a flight that breaks down after what is kept holds its last value: filters would spread NaN
         true = {key: np.where(np.isfinite(everything[key]), everything[key], flown[key][-1]) for key in FLOWN}
         true["thrust"] = pilots[number].thrust  # as it is commanded

@@ -137,7 +137,9 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
     try:
         asked = msgspec.convert(table, StudyFile)
     except msgspec.ValidationError as reason:
-        key = next(key for key in KEYS if f"$.{key}" in str(reason) or f"`{key}`" in str(reason))
+        key = next((key for key in KEYS if f"$.{key}" in str(reason) or f"`{key}`" in str(reason)), None)
+        if key is None:
+            raise InputError(f"{where}: {reason}") from None
         given = f" and not {table[key]!r}" if key in table else ""
         raise InputError(f"{where}: {key} must be {SHAPES[key]}{given}") from None
     for key in LISTS:
@@ -199,7 +201,8 @@ def record_sets(asked: StudyFile, folder: Path, where: str) -> list[tuple[Path, 
             except (ValueError, OSError) as reason:
                 raise InputError(f"{where}: records {pattern!r} is no pattern of files ({reason})") from None
             if not found:
-                raise InputError(f"{where}: no record matches {pattern!r} in {folder.resolve()}")
+                ends = f"records end in {', '.join(READERS)}"
+                raise InputError(f"{where}: no record matches {pattern!r} in {folder.resolve()}; {ends}")
         else:
             file = segment_of(folder / pattern).file
             if not is_file(file):
@@ -602,5 +605,7 @@ def run_study(
     try:
         write_summary(study.units, out / UNITS, out)
     except OSError as error:
-        raise InputError(f"the tables of {out} cannot be written ({error.strerror}), but all units are kept") from None
+        raise InputError(
+            f"the tables of {out} cannot be written ({error.strerror}), but all units are kept; mend that and repeat the command"
+        ) from None
     return said

@@ -194,20 +194,20 @@ def card_page(starter: Starter, record: str, card: str, source: Mapping[str, Any
     rest = "Columns without a name, recorded, as it is in the file,"
     todo = HtmlTable("Entries that say TODO", ("entry", "what it is"), tuple(starter.todo), words=(1,))
     places = [column.place + (": no numbers" if column.values is None else "") for column in starter.unknown]
-    unknown = (
-        "They stand in the card as comments; give them a name there if the model needs them.",
-        places,
-        drawn("time-rest", rest, ((c.place, c.unit, c.values) for c in starter.unknown)),
-    )
+
+    def unknown() -> tuple[Any, ...]:
+        plot = drawn("time-rest", rest, ((c.place, c.unit, c.values) for c in starter.unknown))
+        return ("They stand in the card as comments; give them a name there if the model needs them.", places, plot)
+
     return Report(
         title=f"Starter card: {card}",
         subtitle=f"Written from the columns of {record}; every line is a proposal to be checked",
         verdict=f"{len(taken)} of {columns} columns were assigned to channels; {left}.{blind}",
-        lead=[drawn("time-columns", said, guesses)],
+        lead=[drawn("time-columns", said, guesses) or "Nothing is drawn: no time that increases was found."],
         sections=[
             section("todo", "To be completed", lambda: todo if starter.todo else None),
             section("guesses", "Proposals and their evidence", lambda: _guesses(starter)),
-            section("unknown", "Columns without a proposal", lambda: unknown if places else None),
+            section("unknown", "Columns without a proposal", lambda: unknown() if places else None),
             parts.provenance_section(source),
         ],
     )
