@@ -606,6 +606,7 @@ def run_study(
         write_summary(study.units, out / UNITS, out)
     except OSError as error:
         raise InputError(
-            f"the tables of {out} cannot be written ({error.strerror}), but all units are kept; mend that and repeat the command"
+            f"the tables of {out} cannot be written ({error.strerror}), but all units are kept; mend that and repeat the "
+            "command"
         ) from None
     return said
