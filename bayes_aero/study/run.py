@@ -605,8 +605,6 @@ def run_study(
     try:
         write_summary(study.units, out / UNITS, out)
     except OSError as error:
-        raise InputError(
-            f"the tables of {out} cannot be written ({error.strerror}), but all units are kept; mend that and repeat the "
-            "command"
-        ) from None
+        why = f"cannot be written ({error.strerror})"
+        raise InputError(f"the tables of {out} {why}, but all units are kept; mend that and run it again") from None
     return said

@@ -18,8 +18,8 @@ from linear_cards import (
     short_period_flight,
 )
 
-from bayes_aero.diagnosis import trajectories
 from bayes_aero.flight.record import FlightRecord, write_record
+from bayes_aero.inference import prediction_error
 from bayes_aero.inference.prediction_error import PosteriorLength, sample_innovations
 from bayes_aero.inference.sampling import EnsembleLength
 from bayes_aero.jobs.identify import identify
@@ -178,7 +178,7 @@ def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):
 def test_a_posterior_is_written_and_bad_chains_are_told(program, tmp_path, monkeypatch):
     """NUTS converges about the fit; an ensemble of a hundred steps does not, which terminal, JSON and page say."""
     length = PosteriorLength(emcee=EnsembleLength(1, 100))
-    monkeypatch.setattr(trajectories, "sample_innovations", partial(sample_innovations, length=length))
+    monkeypatch.setattr(prediction_error, "sample_innovations", partial(sample_innovations, length=length))
     card, record = tmp_path / "card.toml", tmp_path / "flight.csv"
     card.write_text(FIRST_ORDER)
     channels = disturbed_first_order(160, 0.05, -0.8, 0.03, 0.01)

@@ -619,12 +619,8 @@ def test_process_noise_is_estimated_in_gusts_unless_the_user_decides(hfb320, mon
         diagnose(records, hfb320, settings=DiagnosisSettings(process_noise=given))
     assert (str(found.value) == "innovations") is expected
 
-    def instead(_, options, *__):
-        filtered.append(options.process_noise)
-        return (None, None), ()
-
-    monkeypatch.setattr(job, "process_noise", instead)
+    monkeypatch.setattr(job, "with_process_noise", lambda *_: filtered.append(True))
     flown = job.fly(records, hfb320, process_noise=given, outputs=OUTPUTS)
-    assert filtered == [expected]
+    assert filtered == [True] * expected
     told = flown.sentences[0].startswith("The flight path alone, without aerodynamics, shows gusts")
     assert told is (expected and given is None)
