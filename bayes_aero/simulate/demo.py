@@ -299,7 +299,8 @@ def refuse(request: Request, card: Card) -> None:
         ("altitude", request.altitude, -500.0, 11_000.0, " m"),  # where the simulated air ends
     ):
         if not low <= value <= high:
-            raise InputError(f"a {what} of {value:g}{unit} was asked for; give one from {low:g} to {high:g}{unit}")
+            of = f" for a {request.manoeuvre}" if what == "duration" else ""
+            raise InputError(f"a {what} of {value:g}{unit} was asked for; give one from {low:g} to {high:g}{unit}{of}")
 
 
 def grid_of(request: Request) -> tuple[Series, slice]:
