@@ -107,7 +107,7 @@ BAD = {  # of every command: what it is asked, and a word of the sentence
     "diagnose empty.csv": "empty.csv", "diagnose --model atas": "attas",
     f"diagnose flight.csv --out {LONG}": "too long", "check empty.csv": "empty.csv",
     f"check flight.csv --model {LONG}": "no card", "effects pitch_rat_bias": "pitch_rate_bias",
-    f"card flight.csv --out {LONG}": "too long", f"run {LONG}.toml": "cannot be read",
+    f"card flight.csv --out {LONG}": "too long", f"run {LONG}.toml": "check the path",
     f"run study.toml --out {LONG}": "too long", f"check {LONG}.csv": "check its name",
     f"{SIMULATE} --effect pitch_rat_bias=1": "pitch_rate_bias", f"{SIMULATE} --effect pitch_rate_bias": "NAME=VALUE",
     f"{SIMULATE} --effect flow_separation=3": "flow_separation.alpha_star=VALUE",
