@@ -154,9 +154,10 @@ def write_environment(out: Path) -> None:
     """Write requirements.txt and environment.json into `out`/environment; another environment gets its own folder."""
     here, number = environment(), environment_id()
     folder = out / "environment"
-    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-        if json.loads((folder / "environment.json").read_text(encoding="utf-8"))["id"] == number:
-            return
+    if (folder / "environment.json").is_file():
+        with suppress(ValueError, KeyError, TypeError, RecursionError):
+            if json.loads((folder / "environment.json").read_text(encoding="utf-8"))["id"] == number:
+                return
         folder = out / f"environment-{number}"
     folder.mkdir(parents=True, exist_ok=True)
     lines = [
