@@ -38,24 +38,36 @@ from bayes_aero.report.plots import MODELS, Panel
 from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, in_brackets, or_dash, table
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis import result as results
+    from bayes_aero.diagnosis.result import (
+        Cause,
+        CausesInBand,
+        Diagnosis,
+        DiagnosisView,
+        HoldoutScores,
+        ParameterChange,
+        Ranking,
+        Size,
+        Tested,
+        Trajectories,
+        View,
+    )
     from bayes_aero.flight.card import Card
 
 SHOWN = 4  # other terms that are named
 MAX_SIZED = 3  # causes whose sizes are in the verdict
 
 
-def sentences(view: results.DiagnosisView) -> list[str]:
+def sentences(view: DiagnosisView) -> list[str]:
     """The findings, one sentence or two each: verdict, causes, unexplained structure, what is not testable."""
     return diagnosis_sentences(view.diagnosis, view.trajectories)
 
 
-def diagnosis_sentences(d: results.Diagnosis, flown: results.Trajectories | None = None) -> list[str]:
+def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
     """As `sentences`, of a diagnosis alone."""
     return [text for listed in findings(d, flown).values() for text in listed]
 
 
-def findings(d: results.Diagnosis, flown: results.Trajectories | None = None) -> dict[str, list[str]]:
+def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[str]]:
     """The sentences by what they are on, in the order of reading."""
     bases = {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}
     absorbed = [(a, " or ".join(f"{n} {_size(x)}" for n, x in a.sizes.items())) for a in d.absorbed]
@@ -81,7 +93,7 @@ def findings(d: results.Diagnosis, flown: results.Trajectories | None = None) ->
     }
 
 
-def _beyond(d: results.Diagnosis) -> list[str]:
+def _beyond(d: Diagnosis) -> list[str]:
     """What is left out of the model: larger than on any aircraft, then what was estimated together with that."""
     large, joint = [], []
     for c, (name, x) in [(cause, item) for cause in d.beyond for item in cause.parameters.items()]:
@@ -92,11 +104,11 @@ def _beyond(d: results.Diagnosis) -> list[str]:
     return large + joint
 
 
-def _size(x: results.Size) -> str:
+def _size(x: Size) -> str:
     return size_text(x.mean, x.sd, x.unit)
 
 
-def _cause(cause: results.Cause) -> str:
+def _cause(cause: Cause) -> str:
     text = [f"{cause.name}: {cause.claim}"]
     if cause.ambiguous_with:
         gains = {n: f"{gain:+z.1f} ± {sd:.1f}" for n, (gain, sd) in cause.rival_gains.items()}
@@ -124,7 +136,7 @@ def _cause(cause: results.Cause) -> str:
     return " ".join(text)
 
 
-def _why_not_confirmed(cause: results.Cause) -> str:
+def _why_not_confirmed(cause: Cause) -> str:
     gain, (lost, sd) = cause.gain, cause.missed
     if worse := [f"{name} {change:+z.1f} ± {se:.1f}" for name, (change, se) in gain.degraded.items()]:
         return f"with it they are predicted worse: log density of {several(worse)}"
@@ -133,7 +145,7 @@ def _why_not_confirmed(cause: results.Cause) -> str:
     return f"removed: log density {-lost:+z.1f} ± {sd:.1f}"
 
 
-def _taken_over(d: results.Diagnosis) -> list[str]:
+def _taken_over(d: Diagnosis) -> list[str]:
     """How to put the causes that the verdict rests on into the card."""
     clear = {c.name: c for c in d.causes if c.sure and not c.ambiguous_with}
     sure = [name for name, c in clear.items() if name in CATALOGUE and set(c.joint) <= set(clear)]
@@ -143,7 +155,7 @@ def _taken_over(d: results.Diagnosis) -> list[str]:
     return [sentence(key, names=names) for key, names in both.items() if names]
 
 
-def _unexplained(d: results.Diagnosis) -> list[str]:
+def _unexplained(d: Diagnosis) -> list[str]:
     """Along trajectories an effect may be true and fail its test, which is less powerful than that of the terms."""
     texts, none = [], "explains this" if d.tested is None else "passes its own test along the trajectories"
     for u in d.unknown:
@@ -157,7 +169,7 @@ def _unexplained(d: results.Diagnosis) -> list[str]:
     return texts
 
 
-def _terms(d: results.Diagnosis) -> list[str]:
+def _terms(d: Diagnosis) -> list[str]:
     texts = []
     for t in d.terms:
         past = "" if t.term.code is not None else " It depends on the past, which no effect file can state."
@@ -168,7 +180,7 @@ def _terms(d: results.Diagnosis) -> list[str]:
     return texts + ([sentence("write_terms")] if any(t.term.code is not None for t in d.terms) else [])
 
 
-def _noise(d: results.Diagnosis) -> list[str]:
+def _noise(d: Diagnosis) -> list[str]:
     texts, noise = [], d.noise
     if noise.of_innovations and noise.coloured:
         lags = [f"{name} ({noise.lag1[name]:.2f})" for name in noise.coloured]
@@ -193,7 +205,7 @@ def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str
     return texts
 
 
-def change_sentences(changes: Sequence[results.ParameterChange]) -> list[str]:
+def change_sentences(changes: Sequence[ParameterChange]) -> list[str]:
     texts = []
     for c in changes:
         begin, end = c.interval
@@ -212,7 +224,7 @@ def change_sentences(changes: Sequence[results.ParameterChange]) -> list[str]:
 # --- The verdict. It rests on causes that are confirmed, probable and of plausible size.
 
 
-def verdict_sentence(d: results.Diagnosis) -> str:
+def verdict_sentence(d: Diagnosis) -> str:
     """The causes that explain the model error, those that are only named, and the unexplained structure."""
     sure = [c for c in d.causes if c.sure]
     names = f": {several(_named(c, len(sure) <= MAX_SIZED) for c in sure)}{_doubtful(d)}"
@@ -228,7 +240,7 @@ def verdict_sentence(d: results.Diagnosis) -> str:
     return sentence(f"verdict_{key}", n=len(sure), names=names, left=left, doubtful=_doubtful(d))
 
 
-def _flown_verdict(d: results.Diagnosis, tested: results.Tested, sure: int, names: str, left: str) -> str:
+def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: str) -> str:
     """The same from trajectories alone: causes explain the error only if the residual is sensor noise."""
     sought = sentence("structure_remains" if d.unknown else "no_structure", left=left)
     sizes, where = "", ""
@@ -251,7 +263,7 @@ def _rms(output: str, value: float) -> str:
     return "".join(amounts(STANDARD_CHANNELS[output].unit, value))
 
 
-def tested_sentences(d: results.Diagnosis) -> list[str]:
+def tested_sentences(d: Diagnosis) -> list[str]:
     if d.tested is None or not d.tested.outputs:
         return []
     of = d.tested.outputs
@@ -260,14 +272,14 @@ def tested_sentences(d: results.Diagnosis) -> list[str]:
     return [sentence("tested", listed=listed), *([sentence("tested_beyond", names=beyond)] if beyond else [])]
 
 
-def _named(cause: results.Cause, sized: bool) -> str:
+def _named(cause: Cause, sized: bool) -> str:
     sizes = ", ".join(_size(x) for x in cause.parameters.values()) if sized else ""
     rivals = f"or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
     text = ", ".join(part for part in (sizes, rivals) if part)
     return f"{cause.name} ({text})" if text else cause.name
 
 
-def _doubtful(d: results.Diagnosis) -> str:
+def _doubtful(d: Diagnosis) -> str:
     reasons: dict[str, list[str]] = {}
     for cause in (c for c in d.causes if not c.sure):
         why = "named, but no more probable than its rivals"
@@ -281,7 +293,7 @@ def _doubtful(d: results.Diagnosis) -> str:
     return "".join(f"; {why}: {several(names)}" for why, names in reasons.items())
 
 
-def in_band_sentences(sizes: results.CausesInBand | None) -> tuple[str, ...]:
+def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
     if sizes is None:
         return ()
     band = band_text(sizes)
@@ -299,14 +311,14 @@ def in_band_sentences(sizes: results.CausesInBand | None) -> tuple[str, ...]:
 ON_A_TERMINAL = 3  # coefficients whose R² fit in 80 columns: those that change most
 
 
-def causes_table(d: results.Diagnosis) -> Table:
+def causes_table(d: Diagnosis) -> Table:
     """A row for each cause, in files for each of its parameters, SI and radians, with scores on hold-out data."""
     column = columns_of(d.causes)
 
     def each(get: Callable[[Any], Any], *heads: Any, **how: Any) -> Column:
         return column(lambda c: [get(size) for size in c.parameters.values()], *heads, **how)
 
-    def change(c: results.Cause, name: str, kind: str) -> BeforeAfter | None:
+    def change(c: Cause, name: str, kind: str) -> BeforeAfter | None:
         both = c.gain.before, c.gain.after
         return BeforeAfter(*(getattr(of[name], kind) for of in both)) if name in c.gain.before else None
 
@@ -352,7 +364,7 @@ def causes_table(d: results.Diagnosis) -> Table:
     return table("causes_flown", columns, source=source, unsure=unsure)
 
 
-def _sizes(c: results.Cause) -> list[str]:
+def _sizes(c: Cause) -> list[str]:
     texts = {name: size_text(s.mean, s.sd, s.unit).replace("c/V", "chords") for name, s in c.parameters.items()}
     return [f"{name} {text}" if len(texts) > 1 else text for name, text in texts.items()]
 
@@ -367,7 +379,7 @@ def probability(value: float) -> str:
     return "> 0.99" if value > 0.99 else f"{value:.2f}"
 
 
-def changes_table(d: results.Diagnosis) -> Table:
+def changes_table(d: Diagnosis) -> Table:
     """A row for each parameter that takes another value during the records, in files SI and radians."""
     column, sizes = columns_of(d.changes), []
     for n, head in (("before", "before"), ("after", "after"), ("size", "change")):
@@ -391,7 +403,7 @@ def changes_table(d: results.Diagnosis) -> Table:
     return table("changes", columns)
 
 
-def terms_table(d: results.Diagnosis) -> Table:
+def terms_table(d: Diagnosis) -> Table:
     """A row for each term that describes unexplained structure, in files SI and radians."""
     column, alike = columns_of(d.terms), lambda t: "; ".join(o.name for o, _ in t.others)
     columns = [
@@ -408,7 +420,7 @@ def terms_table(d: results.Diagnosis) -> Table:
     return table("terms", columns)
 
 
-def screen_table(rankings: Sequence[results.Ranking], d: results.Diagnosis) -> Table:
+def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
     """Every candidate of `rankings`: those of the first screening of each stage, the highest score first."""
     causes = {(c.stage, c.name) for c in d.causes}
     rows = [(r, s) for r in rankings for s in r.candidate_scores]
@@ -426,7 +438,7 @@ def screen_table(rankings: Sequence[results.Ranking], d: results.Diagnosis) -> T
     return table("screen", columns, stage=rankings[0].stage if rankings else "", beyond=beyond)
 
 
-def scores_frame(found: results.HoldoutScores) -> pd.DataFrame:
+def scores_frame(found: HoldoutScores) -> pd.DataFrame:
     """A row for each model, fit, manoeuvre, coefficient: scores of 5 Hz means, and the gain of the extended model."""
     rows = []
     for (model, data, k), scores in sorted(found.scores.items()):
@@ -441,7 +453,7 @@ def scores_frame(found: results.HoldoutScores) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def gain_table(view: results.DiagnosisView) -> Table | None:
+def gain_table(view: DiagnosisView) -> Table | None:
     """Scores of each coefficient on hold-out data; nothing where nothing was added."""
     if view.unseen_scores is None:
         return None
@@ -453,7 +465,7 @@ def gain_table(view: results.DiagnosisView) -> Table | None:
     return table("gain", columns, what=WORDS["splits"][view.diagnosis.split])
 
 
-def holdout_table(unseen: results.HoldoutScores) -> Table:
+def holdout_table(unseen: HoldoutScores) -> Table:
     """Both models on each hold-out manoeuvre, and whether the difference is significant."""
     rows = []
     for k, manoeuvre in enumerate(unseen.names):
@@ -471,7 +483,7 @@ def holdout_table(unseen: results.HoldoutScores) -> Table:
     return table("holdout", columns, worse=worse)
 
 
-def moves_table(view: results.View) -> Table:
+def moves_table(view: View) -> Table:
     rows = [(name, m, *for_people(m.unit)) for name, m in view.moves.items()]
     moved = [(m.after - m.before) / m.sd_after if m.sd_after > 0.0 else None for _, m, *_ in rows]
     columns = [
@@ -483,7 +495,7 @@ def moves_table(view: results.View) -> Table:
     return table("moves", columns)
 
 
-def residual_table(view: results.View) -> Table:
+def residual_table(view: View) -> Table:
     """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation, and calibration."""
     models = [("card's", view.card), *([("extended", view.extended)] if view.changed else [])]
     rows = [(f"{name}, {label}", fitted.composition[name]) for name in view.coefficients for label, fitted in models]
@@ -510,10 +522,10 @@ FROM_WHAT = {
 FEW = 4  # manoeuvres that are listed one by one in the open
 
 
-def diagnosis_page(view: results.DiagnosisView, context: parts.PageContext) -> Report:
+def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
     """The page of a diagnosis, by coefficients (which has a `View`) or by trajectories alone."""
     result, card, d = context.result, context.card, view.diagnosis
-    whole, captions = cast("results.View | None", view if hasattr(view, "card") else None), dict(WORDS["captions"])
+    whole, captions = cast("View | None", view if hasattr(view, "card") else None), dict(WORDS["captions"])
     if whole is not None:
         panel, manoeuvre, _ = telling(whole)
         captions["found"] = captions["found"].format(panel.name, manoeuvre)
@@ -551,7 +563,7 @@ def diagnosis_page(view: results.DiagnosisView, context: parts.PageContext) -> R
     )
 
 
-def _causes(view: results.DiagnosisView, context: parts.PageContext) -> list[Any]:
+def _causes(view: DiagnosisView, context: parts.PageContext) -> list[Any]:
     d = view.diagnosis
     shared = "; rivals (last column) share it" if any(c.ambiguous_with for c in d.causes) else ""
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in view.rankings]
@@ -565,7 +577,7 @@ def _causes(view: results.DiagnosisView, context: parts.PageContext) -> list[Any
     ]
 
 
-def _stall(view: results.View | None, gallery: Gallery) -> Any:
+def _stall(view: View | None, gallery: Gallery) -> Any:
     if view is None or not view.stalls:
         return "CLmax and the stall angle are not given: they need lift coefficients."
     about = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
@@ -573,17 +585,17 @@ def _stall(view: results.View | None, gallery: Gallery) -> Any:
     return parts.stall_table(stalls, about), gallery("stall_models", "separation_models")
 
 
-def _moved(view: results.View, card: Card) -> Any:
+def _moved(view: View, card: Card) -> Any:
     return view.moves and (moves_table(view), parts.symbols(card, view.parameters, view.moves, degrees=True))
 
 
-def _flown(view: results.DiagnosisView, card: Card) -> Any:
+def _flown(view: DiagnosisView, card: Card) -> Any:
     if view.trajectories is None:
         return "No trajectories were simulated in this run."
     return trajectories(view.trajectories, card), trajectory_sentences(view.trajectories)
 
 
-def _gain(view: results.View, gallery: Gallery) -> tuple[Any, ...]:
+def _gain(view: View, gallery: Gallery) -> tuple[Any, ...]:
     whole = gain_table(view)
     if whole is None:
         return ("Nothing was added, so there is no gain to report.",)
@@ -591,7 +603,7 @@ def _gain(view: results.View, gallery: Gallery) -> tuple[Any, ...]:
     return whole, fold("The same, manoeuvre by manoeuvre", each) if len(view.names) > FEW else each, gallery("gain")
 
 
-def _open(d: results.Diagnosis, context: parts.PageContext) -> list[Any]:
+def _open(d: Diagnosis, context: parts.PageContext) -> list[Any]:
     listed, points, sensors = findings(d), context.result.test_points, context.result.consistency
     sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
     rivals = f"Rival explanations on this record: {'; '.join(sets)}."
@@ -613,7 +625,7 @@ def _open(d: results.Diagnosis, context: parts.PageContext) -> list[Any]:
     ]
 
 
-def _coefficients(view: results.View) -> list[Any]:
+def _coefficients(view: View) -> list[Any]:
     lateral = bool(set(LATERAL) & set(view.coefficients))
     what = "Coefficients measured and simulated by the card's and the extended model, and the controls,"
 
