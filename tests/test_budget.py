@@ -10,11 +10,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41951,
+    "bayes_aero: lines": 41996,
     "bayes_aero: files": 129,
     "bayes_aero: private helpers used once": 234,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 24815,
+    "tests: lines": 24813,
     "tests: files": 91,
     "benchmarks: lines": 4799,
     "benchmarks: files": 28,
