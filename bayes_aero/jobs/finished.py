@@ -238,7 +238,7 @@ TRIES = 50  # times as many normal draws are made until enough lie within the bo
 
 def no_draws(name: str) -> InputError:
     mend = "run the command of the result again, or leave --draws out"
-    return InputError(f"{name}: there is no posterior that converged and no covariance to draw from; {mend}")
+    return InputError(f"{name}: neither a posterior that converged nor a covariance is there to draw from; {mend}")
 
 
 def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) -> Draws:
