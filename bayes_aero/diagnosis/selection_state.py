@@ -33,7 +33,7 @@ Marks = Int[np.ndarray, " m"]
 
 
 def quiet(_: str, __: float) -> None:
-    """Progress that is told to nobody."""
+    """Progress that is not shown."""
 
 
 # --- Every threshold of a diagnosis, each with its reason. What is called our choice has no other.

@@ -151,7 +151,7 @@ def _flights(
 def flyable(
     names: Sequence[str], *, seed: int, largest: float = 10.0, **options: Any
 ) -> tuple[dict[str, dict[str, float]], list[HiddenFlight]]:
-    """Effects of these names at random sizes, and the flights in which they hide. Sizes with which a flight leaves its
+    """Effects of these names at random sizes, and flights with them hidden. Sizes with which a flight leaves its
     envelope are drawn again from a range half as wide in its logarithm."""
 
     def hidden(attempt: int):
