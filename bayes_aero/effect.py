@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from jaxtyping import Float
 
 from bayes_aero.arrays import AnyArray, xp
-from bayes_aero.parameter import Length, Lengths, Parameter, Prior
+from bayes_aero.parameter import Length, Lengths, Parameter, Prior, Role
 from bayes_aero.physics.aircraft import COEFFICIENTS, LATERAL, NAMES, Aircraft, Axis
 from bayes_aero.physics.kinematics import reduced, reduced_lateral, speed_ratio
 
@@ -170,6 +170,11 @@ class Effect:
     def neutral_values(self) -> dict[str, float]:
         """The neutral value of each parameter, by name."""
         return {p.name: p.neutral for p in self.parameters}
+
+    @cached_property
+    def delays(self) -> bool:
+        """Whether it corrects a delay of a channel."""
+        return any(p.role is Role.DELAY for p in self.parameters)
 
     def absent_in(self, values: Values) -> bool:
         """Whether `values` has every parameter at its neutral value; values of other parameters do not matter."""

@@ -11,10 +11,11 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 from threadpoolctl import ThreadpoolController
@@ -33,6 +34,15 @@ def give_back_memory() -> None:
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
         if trim is not None:
             trim(0)
+
+
+def compiled_quickly(function: Callable) -> Any:
+    """`equinox.filter_jit` of a program that a command runs a few times: it compiles in half the time or less, and runs
+    up to five times slower. Never called inside another compiled program, whose options would differ."""
+    import equinox
+
+    options = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+    return equinox.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
 
 def full_of_programs() -> bool:

@@ -317,8 +317,8 @@ def aircraft_dynamics(
     dynamics = AircraftDynamics(model, altitude, further, held, heading and rigid)
     have = {*flights.channels, "alpha_dot", "X", *(f"{n}_dot" for n in ("p", "r") if n in flights.channels)}
     have |= {"density", "mach"} if "altitude" in have else set()
-    asked = [c for e in model.acting if e.disturbance is None for c in e.channels]
-    missing = [name for name in (*needed_channels(model.axes), *asked) if name not in have]
+    read = [c for e in model.acting if e.disturbance is None for c in e.channels]
+    missing = [name for name in (*needed_channels(model.axes), *read) if name not in have]
     if missing:
         other = ", or altitude" if missing[0] in ("density", "mach") else ""
         raise InputError(
@@ -460,11 +460,11 @@ def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
         fixed = {name: value for name, value in stated.fixed if name in names}
         model = Model.of((*errors, *(e for e in model.effects if e not in errors)), fixed, model.axes)
         model = replace(model, parameters=tuple(stated_parameters.get(p.name, p) for p in model.parameters))
-    own = tuple(p.name for name in OWN if name in chosen for p in CATALOGUE[name].parameters)
+    of_sensors = tuple(p.name for name in OWN if name in chosen for p in CATALOGUE[name].parameters)
     if "psi" in states:
         turned = flights.channels | {"psi": jnp.asarray(heading(flights))}
         flights = replace(flights, channels=turned)
-    return flights, PathDynamics(model, states, own, lengths=flights.lengths)
+    return flights, PathDynamics(model, states, of_sensors, lengths=flights.lengths)
 
 
 # --- Linear state-space models in dimensional derivatives: short period, lateral motion, or any other rows of a card.
@@ -524,19 +524,20 @@ class LinearDynamics(Dynamics):
         return tuple(dict.fromkeys((*self.rows.states, *self.rows.outputs)))
 
     def system(self, values: Values, aircraft: Aircraft) -> LinearSystem:  # noqa: ARG002
-        own = self.rows.by_manoeuvre
-        columns = (*self.states, *self.inputs, *own, ONE)
+        constants = self.rows.by_manoeuvre
+        columns = (*self.states, *self.inputs, *constants, ONE)
         terms = [(i, t) for i, (_, row) in enumerate(self.rows.rows) for t in row]
-        across = [columns.index(t.parameter if t.parameter in own else t.channel) for _, t in terms]
-        sizes = [jnp.asarray(t.factor * (1.0 if t.parameter in own else values[t.parameter]), float) for _, t in terms]
+        across = [columns.index(t.parameter if t.parameter in constants else t.channel) for _, t in terms]
+        values = {**values, **dict.fromkeys(constants, 1.0)}
+        sizes = [jnp.asarray(t.factor * values[t.parameter], float) for _, t in terms]
         places = jnp.array([i for i, _ in terms]), jnp.array(across)
         matrix = jnp.zeros((len(self.rows.rows), len(columns))).at[places].add(jnp.stack(sizes))
         return LinearSystem(matrix, self.states, columns[len(self.states) : -1], self.rows.outputs)
 
     def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Recorded inputs, and a constant, which gives the number of samples where there are no inputs."""
-        own = {name: along_each(values, name, self.lengths) for name in self.rows.by_manoeuvre}
-        return {name: channels[name] for name in self.inputs} | own | {ONE: jnp.ones_like(channels["dt"])}
+        constants = {name: along_each(values, name, self.lengths) for name in self.rows.by_manoeuvre}
+        return {name: channels[name] for name in self.inputs} | constants | {ONE: jnp.ones_like(channels["dt"])}
 
     def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
         return {output: parameter for output, parameter in self.rows.delays if output in outputs}
@@ -559,16 +560,16 @@ def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynami
             unit = f"({units[row]}){'/s' if rate else ''}/({units[term.channel]})"
             unit = si_unit(unit.replace("/(1)", "").replace("(1)", "1")).replace("**", "^")
             new = Parameter(term.parameter, unit, 0.0, 0.0, f"{'rate of ' if rate else ''}{row}, {per}", FLAT)
-            known = stated.setdefault(term.parameter, new)
+            parameter = stated.setdefault(term.parameter, new)
             channel, half = PART_OF.get(term.channel, (term.channel, 1.0))
-            if rate and (row, channel) in ALIKE and known.sign is None and known.limits is None:
+            if rate and (row, channel) in ALIKE and parameter.sign is None and parameter.limits is None:
                 like = CATALOGUE[ALIKE[row, channel]].parameters[0]
                 side = 1 if half * term.factor > 0.0 else -1
                 if like.sign is not None:
                     sign = replace(like.sign, side=side * like.sign.side, channel=term.channel)
-                    stated[term.parameter] = replace(known, sign=sign)
+                    stated[term.parameter] = replace(parameter, sign=sign)
                 elif side > 0:
-                    stated[term.parameter] = replace(known, limits=like.limits)
+                    stated[term.parameter] = replace(parameter, limits=like.limits)
     named = tuple((name, units[name]) for name in rows.states)
     parameters = tuple(as_on_card(stated[name], card) for name in rows.parameters)
     return LinearDynamics(rows, parameters, named, lengths=lengths)

@@ -32,6 +32,7 @@ from bayes_aero.dynamics.system import (
     stage_points,
     stage_table,
 )
+from bayes_aero.processes import compiled_quickly
 
 Theta = Float[Array, " k"]
 PerState = Float[Array, " s"]
@@ -54,9 +55,9 @@ def discrete_noise(transition: Square, density: PerState, dt: Any) -> Square:
     """Discrete process-noise covariance (s, s): white noise of spectral `density` (s,) over a sample of `dt` seconds.
     The integral of Phi(t) W Phi(t)' by Simpson's rule, with the square root of the transition at mid-sample. It is
     exact to the third power of dt, the order at which a gust changes the pitch rate within a sample."""
-    W, one = jnp.diag(density), jnp.eye(len(density))
-    change = transition - one
-    half = one + 0.5 * change - 0.125 * change @ change
+    W, identity = jnp.diag(density), jnp.eye(len(density))
+    change = transition - identity
+    half = identity + 0.5 * change - 0.125 * change @ change
     return dt / 6.0 * (transition @ W @ transition.T + 4.0 * half @ W @ half.T + W)
 
 
@@ -72,8 +73,8 @@ def discrete_noise_slopes(
     half_slope = 0.5 * middle - 0.125 * change @ middle
     cross = (change[:, None] * middle.T[None]).reshape(-1, len(density)) @ decayed
     side = decayed[:, None] * (full + 4.0 * half_slope)[:, :, None] - 0.5 * cross.reshape(by_density.shape)
-    own = jnp.eye(len(density))[:, :, None] * by[:, None]
-    return dt / 6.0 * (by_density + own + side + jnp.moveaxis(side, 0, 1))
+    by_noise = jnp.eye(len(density))[:, :, None] * by[:, None]
+    return dt / 6.0 * (by_density + by_noise + side + jnp.moveaxis(side, 0, 1))
 
 
 def _each_sample(f: Callable[..., Any]) -> Callable[..., Any]:
@@ -218,7 +219,7 @@ def filter_segments(
     return each(filter_inputs(flown, prepared, start_deviation, R))
 
 
-@eqx.filter_jit
+@compiled_quickly
 def prediction_errors(flown: SegmentTrajectories, theta: Theta, filtered: Filtered) -> Float[Array, "w n c"]:
     """Measured minus predicted from the samples before, in recorded units; `filtered` is that of `filter_segments`."""
     prepared = prepare(flown, theta)
@@ -240,12 +241,12 @@ def log_density_terms(e: PerOutput, S: PerOutput, used: Bool[Array, " c"]) -> Fl
     return -0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
 
 
-def log_likelihood(found: Filtered) -> Float[Array, ""]:
+def log_likelihood(filtered: Filtered) -> Float[Array, ""]:
     """Log density of all measured samples, each given those before it."""
-    return jnp.sum(jax.vmap(log_density_terms)(found.innovation, found.variance, found.used))
+    return jnp.sum(jax.vmap(log_density_terms)(filtered.innovation, filtered.variance, filtered.used))
 
 
-def smooth(found: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s"]]:
+def smooth(filtered: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s"]]:
     """Smoothed states and their covariances (Rauch, Tung and Striebel)."""
 
     def back(carry, row):
@@ -256,9 +257,9 @@ def smooth(found: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s"]]
         P = covariance + gain @ (P - ahead) @ gain.T
         return (x, P), (x, P)
 
-    last = (found.state[-1], found.covariance[-1])
-    rows = tuple(y[:-1] for y in (found.state, found.covariance, found.transition))
-    rows = (*rows, found.predicted[1:], found.predicted_covariance[1:])
+    last = (filtered.state[-1], filtered.covariance[-1])
+    rows = tuple(y[:-1] for y in (filtered.state, filtered.covariance, filtered.transition))
+    rows = (*rows, filtered.predicted[1:], filtered.predicted_covariance[1:])
     _, (x, P) = jax.lax.scan(back, last, rows, reverse=True)
     return jnp.concatenate([x, last[0][None]]), jnp.concatenate([P, last[1][None]])
 
@@ -390,8 +391,8 @@ def linear_innovations(
     lin: LinearisedFilter, noise: Disturbances, dt: Float[Array, " w"]
 ) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c"]]:
     """Innovations, their derivatives in d directions at constant gains; variances. Missing: 0 and 1. Recorded units."""
-    found, S = jax.vmap(_one_segment)(lin, noise, dt)
-    e, slopes = found[..., :1], found[..., 1:]
+    innovations, S = jax.vmap(_one_segment)(lin, noise, dt)
+    e, slopes = innovations[..., :1], innovations[..., 1:]
     slopes = slopes - e * lin.scale_drive / lin.scale[..., None]
     used = jnp.isfinite(lin.residual)
     S = jnp.where(used, S / lin.scale**2, 1.0)
@@ -456,7 +457,7 @@ def _slopes_of_segment(lin: LinearisedFilter, noise: Disturbances, slopes: Distu
             return after, (dy, dS)
 
         rows = (C, e, variance, used_now, towards.variance)
-        (correction, P, dmean, dP), found = jax.lax.scan(one, (jnp.zeros(s), P, dmean, dP), rows, unroll=True)
+        (correction, P, dmean, dP), innovations = jax.lax.scan(one, (jnp.zeros(s), P, dmean, dP), rows, unroll=True)
         autonomous, decayed = decay > 0.0, jnp.exp(-decay * dt)
         dkept = jnp.where(autonomous, -dt * decayed, 0.0)[:, None] * towards.decay
         Phi = jnp.where((jnp.eye(s) > 0.0) & autonomous, jnp.diag(decayed), Phi)
@@ -470,7 +471,7 @@ def _slopes_of_segment(lin: LinearisedFilter, noise: Disturbances, slopes: Distu
         side = dkept[:, None] * turned[:, :, None]
         dP = dP + side + jnp.moveaxis(side, 0, 1) + discrete_noise_slopes(Phi, dkept, density, towards.density, dt)
         P = Phi @ turned + discrete_noise(Phi, density, dt)
-        return (Phi @ (estimate - after) + ahead, 0.5 * (P + P.T), dmean, dP), found
+        return (Phi @ (estimate - after) + ahead, 0.5 * (P + P.T), dmean, dP), innovations
 
     begin = (lin.begin, noise.begin, jnp.zeros((s, m)), slopes.begin)
     rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.residual, lin.matrix)
@@ -594,7 +595,7 @@ class Observer(NamedTuple):
     whitening: Float[Array, "w n c c"]
 
 
-@eqx.filter_jit
+@compiled_quickly
 def observer_of(flown: SegmentTrajectories, theta: Theta, R: PerOutput, filtered: Filtered) -> Observer:
     """The gains of `filter_segments` at `theta` and `R`, to be held while parameters vary; `filtered` is its result."""
     prepared = prepare(flown, theta)

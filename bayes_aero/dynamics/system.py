@@ -123,8 +123,8 @@ def _stages(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int,
         ahead = jnp.where(last, 0.0, ahead)
         return (begin, jnp.where(last, 0.0, gathered), begin + ahead * h * k), read(point, outputs)
 
-    (after, _, _), found = jax.lax.scan(one_sample, (x, jnp.zeros_like(x), x), stage_table(substeps))
-    return after, found
+    (after, _, _), readings = jax.lax.scan(one_sample, (x, jnp.zeros_like(x), x), stage_table(substeps))
+    return after, readings
 
 
 @eqx.filter_custom_jvp
@@ -273,12 +273,12 @@ def _along(
     moved = jnp.concatenate([inside[:, 1:], jnp.ones((w, 1), bool)], axis=1)[None, :, :, None, None]
     A, b = (jnp.where(moved, y, 0.0) for y in slopes(lambda slope, _: slope, slice(None)))  # outside it stays
     dx = _recurrence(jnp.moveaxis(A, 0, 2), jnp.moveaxis(b, 0, 2), t_start, dt / substeps)
-    found = {name: dx[:, :, system.states.index(name)] for name in outputs if name not in read}
+    slopes_of = {name: dx[:, :, system.states.index(name)] for name in outputs if name not in read}
     if read:  # at the first stage alone, where the sample is
-        by_x, direct = slopes(lambda _, found: jnp.stack([found[name] for name in read]), slice(1))
+        by_x, direct = slopes(lambda _, made: jnp.stack([made[name] for name in read]), slice(1))
         dy = jnp.sum(by_x[0, :, :, :, :, None] * dx[:, :, None], axis=3) + direct[0]
-        found |= {name: dy[:, :, i] for i, name in enumerate(read)}
-    return dx, found
+        slopes_of |= {name: dy[:, :, i] for i, name in enumerate(read)}
+    return dx, slopes_of
 
 
 def stage_points(
@@ -370,8 +370,8 @@ class LateOutputs(System):
         state = dict(zip(self.states, x, strict=True))
 
         def late(x):
-            found = dict(zip(self.states, x, strict=True)) | self.plain.motion(x, u)[1]
-            return {name: found[name] for name in self.delays}
+            outputs = dict(zip(self.states, x, strict=True)) | self.plain.motion(x, u)[1]
+            return {name: outputs[name] for name in self.delays}
 
         slope = jax.jvp(late, (x,), (rate,))[1]
         return rate, now | {n: (state | now)[n] - delay * slope[n] for n, delay in self.delays.items()}

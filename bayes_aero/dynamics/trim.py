@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +21,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import GRAVITY, Aircraft, Axis, air
 from bayes_aero.physics.coefficients import moments, specific_force
 from bayes_aero.physics.kinematics import RATES
+from bayes_aero.processes import compiled_quickly
 
 CONTROLS = ("elevator", "stabilizer")  # of the pitching moment; the pilot uses the first one with an effect
 SIGNALS = frozenset((  # signals that effects may read in the simulation; there is no canard
@@ -122,7 +122,7 @@ def trimmed(model: Model, values: Values, aircraft: Aircraft, airspeed: float, a
     return Trim(alpha, float(thrust), float(-offset / slope))
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _balance(model: Model, values: Any, aircraft: Aircraft, airspeed: Any, altitude: Any, *rows: Any):
     alpha, thrust, further = (jnp.asarray(row) for row in rows)
     shares, command = lead(model, values, aircraft, alpha, airspeed, altitude)
@@ -208,7 +208,7 @@ def rigid_trim(model: Model, values: Values, aircraft: Aircraft, condition: Cond
     )
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _linear(body: RigidBody, given: Condition, controls: tuple[str, ...], unknown: Float[Array, " k"]):
     """Accelerations and climb that are not balanced, and their derivative by the unknowns."""
 
@@ -311,10 +311,10 @@ def modes(dynamics: Dynamics, values: Mapping[str, Any], aircraft: Aircraft, ste
     model, axes = dynamics.model, set(dynamics.model.axes)
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     actual = model.actual_aircraft(values, aircraft)
-    own = HELD[Axis.LONGITUDINAL] if Axis.LONGITUDINAL not in axes else ()
-    wider = model if own else replace(model, axes=tuple(Axis))
+    prescribed = HELD[Axis.LONGITUDINAL] if Axis.LONGITUDINAL not in axes else ()
+    wider = model if prescribed else replace(model, axes=tuple(Axis))
     u = dict.fromkeys((*CONTROLS, "aileron", "rudder", *SURFACES), 0.0)
-    if own:  # prescribed as in level flight
+    if prescribed:  # prescribed as in level flight
         x, alpha = {}, steady.alpha
         u |= dict.fromkeys(("q", "alpha_dot", "p_dot", "q_dot", "r_dot", "thrust", "thrust_left", "thrust_right"), 0.0)
         u |= {"airspeed": steady.airspeed, "alpha": alpha, "theta": alpha, "altitude": steady.altitude}
@@ -326,7 +326,7 @@ def modes(dynamics: Dynamics, values: Mapping[str, Any], aircraft: Aircraft, ste
         u |= {"thrust": trim.thrust, "thrust_left": half, "thrust_right": half}
     # arrays: one program for every trim
     x, u = ({name: jnp.asarray(value, float) for name, value in given.items()} for given in (x, u))
-    body = RigidBody(wider, values, actual, altitude=False, held=own, heading=False, euler=True)
+    body = RigidBody(wider, values, actual, altitude=False, held=prescribed, heading=False, euler=True)
     gusts = {d.state for d in wider.disturbances}
     states = tuple(n for n in body.start if n not in gusts)
     A = _linearised(body, states, x, u)
@@ -376,7 +376,7 @@ def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: fl
     return tuple(MotionMode(names[k], complex(eigenvalues[k])) for k in (*plane, *oscillations, *aperiodic))
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _linearised(
     body: RigidBody, moving: tuple[str, ...], x: Mapping[str, Any], u: Mapping[str, Any]
 ) -> Float[Array, "s s"]:

@@ -264,13 +264,13 @@ def frequency_responses(flights: Flights, dynamics: LinearDynamics, fit: Frequen
         for term in row:
             if term.channel not in (ONE, *dynamics.states):
                 terms.setdefault((i, term.parameter), []).append((term.channel, term.factor))
-    whole = dict.fromkeys(tuple(sorted(one)) for one in terms.values())
-    inputs = list(dict.fromkeys(((one[0][0], 1.0),) if len(one) == 1 else one for one in whole))
+    whole = dict.fromkeys(tuple(sorted(product)) for product in terms.values())
+    inputs = list(dict.fromkeys(((product[0][0], 1.0),) if len(product) == 1 else product for product in whole))
     outputs = tuple(name for name in dynamics.outputs if name in flights.channels)
     if not inputs or not outputs:
         return ()
     channels = {name: np.asarray(x, float) for name, x in flights.channels.items()}
-    u = np.stack([sum(f * channels[name] for name, f in one) for one in inputs])
+    u = np.stack([sum(f * channels[name] for name, f in product) for product in inputs])
     y = np.stack([channels[name] for name in outputs])
     frequency, measured, error, coherence = _measured(flights, u, y)
     inside = (frequency >= fit.band[0]) & (frequency <= fit.band[1])
@@ -283,7 +283,7 @@ def frequency_responses(flights: Flights, dynamics: LinearDynamics, fit: Frequen
     modelled = _modelled(flights, dynamics, inputs, outputs, frequency, np.vstack([theta, draws]))
     return tuple(
         FrequencyResponse(
-            " and ".join(name for name, _ in one),
+            " and ".join(name for name, _ in product),
             output,
             frequency,
             measured[:, o, i],
@@ -292,7 +292,7 @@ def frequency_responses(flights: Flights, dynamics: LinearDynamics, fit: Frequen
             modelled[0, :, o, i],
             modelled[1:, :, o, i],
         )
-        for i, one in enumerate(inputs)
+        for i, product in enumerate(inputs)
         for o, output in enumerate(outputs)
     )
 

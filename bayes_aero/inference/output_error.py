@@ -39,7 +39,7 @@ from bayes_aero.inference.optimise import (
 )
 from bayes_aero.inference.results import Inseparable, OutputErrorStatus, inseparable
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.processes import cores
+from bayes_aero.processes import compiled_quickly, cores
 
 OfStates = Float[np.ndarray, "w s"]
 
@@ -294,8 +294,8 @@ class OutputErrorResult:
         if not math.isfinite(self.cost):
             return self.covariance
         k, inside = len(self.estimate), self.flown.inside
-        S, own, residual = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :], self.columns[..., 0]
-        S = S - np.einsum("wncs,wsk->wnck", own, self.eliminated)  # at optimal initial states
+        S, of_states, residual = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :], self.columns[..., 0]
+        S = S - np.einsum("wncs,wsk->wnck", of_states, self.eliminated)  # at optimal initial states
         D, weight = self.covariance, self.priors.weight
         of_priors = np.diag(self.priors.precision)
         of_priors = of_priors + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
@@ -303,7 +303,7 @@ class OutputErrorResult:
         dt = float(np.median(self.flown.dt))
         size = min(max(1, round(BLOCK / dt)), inside.shape[1])
         precision = np.where(self.priors.fixed, np.inf, self.priors.states)
-        fit = LinearFit(D, means(S, size), means(own, size), precision, self.R / size, means(inside, size) > 0.0)
+        fit = LinearFit(D, means(S, size), means(of_states, size), precision, self.R / size, means(inside, size) > 0.0)
         wider = np.sqrt(calibration(fit, means(residual, size), size * dt))
         return weight * D @ of_priors @ D + spread * np.outer(wider, wider)
 
@@ -390,7 +390,7 @@ FIRST_DAMPING, MIN_DAMPING = 1e-2, 1e-4  # relative to the information's diagona
 MIN_GAIN_RATIO = 0.05  # least ratio of actual to expected gain of a step
 
 
-_simulate = eqx.filter_jit(simulate)
+_simulate = compiled_quickly(simulate)
 
 
 def trajectories(flown: SegmentTrajectories, theta: Any, departure: Any) -> Simulated:
@@ -534,13 +534,13 @@ class SeparatedFlow:
             return None
         flown = fit.flown
         shown, simulated = one_by_one(flown, fit.estimate, fit.departure)
-        if not all("X" in one.trajectory.outputs for one in simulated.values()):
+        if not all("X" in flight.trajectory.outputs for flight in simulated.values()):
             return None
         residual, separated = np.zeros((*flown.inside.shape, len(flown.outputs))), np.zeros(flown.inside.shape)
         at = [shown.index(name) for name in flown.outputs]
-        for row, one in simulated.items():
-            residual[row] = np.asarray(one.residual[0])[:, at]
-            separated[row] = np.clip(1.0 - np.asarray(one.trajectory.outputs["X"][0]), 0.0, 1.0)
+        for row, flight in simulated.items():
+            residual[row] = np.asarray(flight.residual[0])[:, at]
+            separated[row] = np.clip(1.0 - np.asarray(flight.trajectory.outputs["X"][0]), 0.0, 1.0)
         return None if np.ptp(separated[flown.inside]) < MIN_X_RANGE else cls(residual, separated, flown.inside)
 
     def growths(self, without: int | None = None) -> Float[np.ndarray, " c"]:

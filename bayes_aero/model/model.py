@@ -16,7 +16,7 @@ from typing import Any
 from jaxtyping import Float
 
 from bayes_aero.arrays import AnyArray, namespace, xp
-from bayes_aero.effect import NEUTRAL_FLOW, WINGS, Disturbance, Effect, Known, Stage
+from bayes_aero.effect import NEUTRAL_FLOW, WINGS, Disturbance, Effect, Known, Stage, Values
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
@@ -188,7 +188,7 @@ class Model:
 
     def values(self, theta: Float[AnyArray, " k"]) -> dict[str, Any]:
         """All parameter values by name, from the vector of the free ones."""
-        return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
+        return dict(self.fixed) | dict(zip(self.names, namespace(theta).unstack(theta), strict=True))
 
     def corrected(self, values: Mapping[str, Any], channels: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
         """Recorded channels (whole manoeuvres end to end, with the marks of `Stage`) corrected for sensor errors."""
@@ -196,8 +196,23 @@ class Model:
         # to a delay, a scale of the delayed channel would make a filter of two taps, which smooths. A scale and a bias
         # of one channel commute to first order. A bias of a rate and the position of a vane, whose angle depends on
         # that rate, do, too.
-        in_time = self._run((Stage.CHANNEL,), channels, values, channels, aircraft, delays=True)
+        in_time = self.in_time(values, channels, aircraft)
         return self._run((Stage.CHANNEL,), in_time, values, in_time, aircraft, delays=False)
+
+    def in_time(self, values: Mapping[str, Any], channels: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
+        """Recorded channels corrected for delays alone."""
+        return self._run((Stage.CHANNEL,), channels, values, channels, aircraft, delays=True)
+
+    def corrected_channel(
+        self, name: str, series: Any, values: Values, channels: Signals, in_time: Signals, a: Aircraft
+    ) -> Any:
+        """One of the `corrected` channels as a function of what was recorded as it; the others, `in_time`, stay."""
+        makers = [e for e in self.acting if e.stage is Stage.CHANNEL and name in e.example.increments]
+        for delays, others in ((True, channels), (False, in_time)):
+            signals = {**others, name: series}
+            made = [e.increments(values, signals, a, signals) for e in makers if e.delays is delays]
+            series = sum((x[name] for x in made if name in x), series)
+        return series
 
     def actual_aircraft(self, values: Mapping[str, Any], aircraft: Aircraft) -> Aircraft:
         """The card's aircraft with the increments of all effects of stage AIRCRAFT; positions add by coordinates."""
@@ -277,7 +292,7 @@ class Model:
         for stage in stages:
             before = dict(total)
             for effect in self.acting:
-                if effect.stage is stage and delays in (None, any(p.role is Role.DELAY for p in effect.parameters)):
+                if effect.stage is stage and delays in (None, effect.delays):
                     for key, increment in effect.increments(values, signals, aircraft, before).items():
                         old = total[key]  # positions are tuples, which add by coordinates
                         total[key] = tuple(map(add, old, increment)) if isinstance(old, tuple) else old + increment

@@ -27,6 +27,7 @@ from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
 from bayes_aero.physics.aircraft import NAMES, Aircraft, required_of
 from bayes_aero.physics.coefficients import alike_joined, condition_joined, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, recurrence
+from bayes_aero.processes import compiled_quickly
 
 # --- Plain classes that are pytrees of compiled programs.
 
@@ -60,12 +61,13 @@ def response_scales(
 ) -> dict[str, Array]:
     """Derivative of each corrected channel of `names` with respect to the recorded channel."""
 
-    def correct(name, series):
-        return model.corrected(values, {**channels, name: series}, aircraft)[name]
-
-    # One channel at a time: the influence of other channels (pitch rate on the vane's angle) does not count.
-    series_by_name = {name: channels[name] for name in names if name in channels}
-    return {name: jax.jvp(partial(correct, name), (x,), (jnp.ones_like(x),))[1] for name, x in series_by_name.items()}
+    # One channel at a time: the influence of other channels (pitch rate on the vane's angle) does not count. Only the
+    # effects that correct a channel are traced again for it.
+    in_time, scales = model.in_time(values, channels, aircraft), {}
+    for name in (n for n in names if n in channels):
+        correct = partial(model.corrected_channel, name, values=values, channels=channels, in_time=in_time, a=aircraft)
+        scales[name] = jax.jvp(correct, (channels[name],), (jnp.ones_like(channels[name]),))[1]
+    return scales
 
 
 def join(records: Sequence[FlightRecord], card: Card, *required: Any) -> Flights:
@@ -182,7 +184,7 @@ def observe(
     )
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _formed(
     model: Model,
     forming: Forming,

@@ -13,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,7 +34,7 @@ from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Envelope, required_of
-from bayes_aero.processes import cores
+from bayes_aero.processes import compiled_quickly, cores
 from bayes_aero.progress import Progress
 from bayes_aero.qualification import FlightKind
 from bayes_aero.residuals.equation_error import EquationError
@@ -85,7 +84,7 @@ def gust_spread(
         return np.stack(list(pool.map(added, ((d, rng.standard_normal((n + 1, s))) for d in draws))))
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _added(gusty: SegmentTrajectories, theta: Float[Array, " k"], white: Float[Array, "m s"]) -> Float[Array, "n c"]:
     prepared = prepare(gusty, theta)
     states = prepared.initial_states
