@@ -7,18 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bayes_aero.arrays import xp
-from bayes_aero.effect import (
-    Disturbance,
-    Effect,
-    Example,
-    Increments,
-    Kind,
-    Signals,
-    Stage,
-    Values,
-    effect,
-    parameter,
-)
+from bayes_aero.effect import Disturbance, Effect, Example, Increments, Kind, Signals, Stage, Values, effect, parameter
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import Aircraft, Axis
 from bayes_aero.physics.filters import lagged

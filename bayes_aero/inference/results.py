@@ -215,11 +215,7 @@ class Inseparable:
 
 
 def inseparable(
-    names: Sequence[str],
-    units: Sequence[str],
-    estimate: OfEach,
-    covariance: OfPairs,
-    deviation: OfEach,
+    names: Sequence[str], units: Sequence[str], estimate: OfEach, covariance: OfPairs, deviation: OfEach
 ) -> tuple[Inseparable, ...]:
     """Sets of parameters that the record cannot separate, at least one of them with a large relative error."""
     # The set with the largest variance inflation comes first. `covariance` of Cramer and Rao: a parameter without

@@ -47,13 +47,7 @@ from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES, ViewFigures, draw_all
 from bayes_aero.report.page import put_page
-from bayes_aero.report.pages.diagnosis import (
-    causes_table,
-    changes_table,
-    diagnosis_page,
-    screen_table,
-    terms_table,
-)
+from bayes_aero.report.pages.diagnosis import causes_table, changes_table, diagnosis_page, screen_table, terms_table
 from bayes_aero.report.pages.parts import PageContext
 from bayes_aero.report.pages.qualification import points_table
 from bayes_aero.report.table import write_csv

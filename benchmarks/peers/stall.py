@@ -305,11 +305,7 @@ def judged_draws(problem: Problem, _: int, warm: list[tuple[float, Drawn]]) -> d
     return told | {"rhat": max(rhat), "mean": x.mean(axis=0).tolist(), "sd": x.std(axis=0).tolist()}
 
 
-SAMPLERS = {
-    "bayes_aero, emcee": our_sampler("emcee"),
-    "bayes_aero, NUTS": our_sampler("NUTS"),
-    "emcee": stock_emcee,
-}
+SAMPLERS = {"bayes_aero, emcee": our_sampler("emcee"), "bayes_aero, NUTS": our_sampler("NUTS"), "emcee": stock_emcee}
 
 
 # --- The Gaussian process.
@@ -385,15 +381,7 @@ def judged_process(problem: Problem, size: int, warm: list[tuple[float, np.ndarr
     return {"cost": -float(value), "value": float(value)}
 
 
-PROCESSES = {
-    "bayes_aero": our_process,
-    "scikit-learn": scikit_learn,
-    "tinygp": tinygp_model,
-}
+PROCESSES = {"bayes_aero": our_process, "scikit-learn": scikit_learn, "tinygp": tinygp_model}
 
 
-BLOCKS = {
-    "fits": (FITS, judged_fit),
-    "samplers": (SAMPLERS, judged_draws),
-    "processes": (PROCESSES, judged_process),
-}
+BLOCKS = {"fits": (FITS, judged_fit), "samplers": (SAMPLERS, judged_draws), "processes": (PROCESSES, judged_process)}

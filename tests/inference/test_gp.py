@@ -20,15 +20,7 @@ from scipy.stats import multivariate_normal
 from bayes_aero import processes as compiled_programs
 from bayes_aero.errors import InputError
 from bayes_aero.inference import gp as fit
-from bayes_aero.inference.gp import (
-    K_LIMIT,
-    Budget,
-    Prediction,
-    SampleStatus,
-    fit_gp,
-    pareto_smooth,
-    sample_posterior,
-)
+from bayes_aero.inference.gp import K_LIMIT, Budget, Prediction, SampleStatus, fit_gp, pareto_smooth, sample_posterior
 from bayes_aero.inference.gp_kernel import (
     SD_BOUNDS,
     HyperPrior,

@@ -14,11 +14,7 @@ from bayes_aero.model.observations import observe
 from bayes_aero.model.records import Forming
 from bayes_aero.physics import filters
 from bayes_aero.physics.aircraft import Aircraft
-from bayes_aero.physics.coefficients import (
-    coefficients,
-    condition_joined,
-    unsmoothed_joined,
-)
+from bayes_aero.physics.coefficients import coefficients, condition_joined, unsmoothed_joined
 from bayes_aero.physics.filters import kirchhoff_factor, lagged, separation_point
 from bayes_aero.simulate.injection import hidden_flights
 

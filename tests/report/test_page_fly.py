@@ -15,13 +15,7 @@ from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.results import RESULTS
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.page import Fold, HtmlTable, Plot, page_table, put_page, render
-from bayes_aero.report.pages.fly import (
-    error_table,
-    fly_page,
-    initial_table,
-    motion_sentences,
-    parameter_table,
-)
+from bayes_aero.report.pages.fly import error_table, fly_page, initial_table, motion_sentences, parameter_table
 from bayes_aero.report.pages.parts import PageContext, at_a_glance
 from bayes_aero.report.pages.study import MOST_UNITS, estimates, study_headline, study_page
 from bayes_aero.report.plots import AXIS, HIGHEST, LOW, Line, Panel, linked

@@ -17,13 +17,7 @@ from bayes_aero.flight.channel import unit_choices
 from bayes_aero.flight.health import Findings, HealthFinding, channels_of, declared, finding, other_units
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import GRAVITY, Axis, standard_air
-from bayes_aero.physics.kinematics import (
-    PATH_NEEDS,
-    STRAIGHT,
-    down_of,
-    euler_rates,
-    motion_over_ground,
-)
+from bayes_aero.physics.kinematics import PATH_NEEDS, STRAIGHT, down_of, euler_rates, motion_over_ground
 
 # --- What each channel's rate of change must be (`physics.kinematics`), without aerodynamics; the distance of the
 # accelerometer from the centre of gravity is neglected, and the wind is steady.
