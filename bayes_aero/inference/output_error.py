@@ -7,7 +7,6 @@ Gauss-Newton with Levenberg and Marquardt's damping on exact forward sensitiviti
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -105,7 +104,7 @@ class NormalEquations:
     # part without samples is not simulated.
     def __init__(self, flown: SegmentTrajectories, prior: NormalPriors):
         w = len(flown.index)
-        size = -(-w // min(w, os.cpu_count() or 1))
+        size = -(-w // min(w, cores()))
         self.prior = prior
         self.count = flown.inside.sum(axis=1).astype(float)
         self.noise_growth = float(np.log(flown.noise_growth[flown.inside]).sum())
@@ -362,23 +361,12 @@ def result_at(
         lost[informed] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > MIN_COMPONENT
     residual, count = point.columns[..., 0] * flown.noise_growth, flown.inside.sum(axis=1)
     return OutputErrorResult(
-        flown=flown,
-        parameters=free,
-        estimate=point.theta,
-        departure=point.departure,
-        R=point.R,
-        cost=point.cost,
-        covariance=covariance_of(A, ~held & ~lost),
-        information=A - np.diag(prior.precision),
-        priors=prior,
+        flown=flown, parameters=free, estimate=point.theta, departure=point.departure, R=point.R, cost=point.cost,
+        covariance=covariance_of(A, ~held & ~lost), information=A - np.diag(prior.precision), priors=prior,
         rms=np.sqrt(np.sum(residual**2, axis=1) / np.maximum(count, 1)[:, None]),
-        status=status,
-        iterations=iterations,
-        at_bound=at_bound,
-        columns=point.columns,
-        eliminated=eliminated,
+        status=status, iterations=iterations, at_bound=at_bound, columns=point.columns, eliminated=eliminated,
         undetermined=tuple(p.name for p, unknown in zip(free, lost, strict=True) if unknown),
-    )
+    )  # fmt: skip
 
 
 # --- The fit.
