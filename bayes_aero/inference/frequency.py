@@ -291,7 +291,7 @@ def frequency_responses(flights: Flights, dynamics: LinearDynamics, fit: Frequen
             coherence[:, o],
             modelled[0, :, o, i],
             modelled[1:, :, o, i],
-        )  # fmt: skip
+        )
         for i, product in enumerate(inputs)
         for o, output in enumerate(outputs)
     )
