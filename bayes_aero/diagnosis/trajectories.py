@@ -247,7 +247,7 @@ def left_out(
     jobs = [(c, k) for c in contenders for k in range(count)]
     stopped = Event()
 
-    def one(job: tuple[CandidateFit, int]) -> tuple[str, output_error.OutputErrorResult]:
+    def refit(job: tuple[CandidateFit, int]) -> tuple[str, output_error.OutputErrorResult]:
         contender, k = job
         fit, held = contender.fit, {**contender.held, **silent[contender.name][k]}
         weighed = noise.on(fit.flown, without=k) if contender.weighed else fit.flown
@@ -258,7 +258,7 @@ def left_out(
     # Two fits keep as many cores busy as one with twice the segments, so several are made at once.
     with ThreadPoolExecutor(max(1, cores() // max(1, count - 1))) as pool:
         try:
-            yield from pool.map(one, jobs)
+            yield from pool.map(refit, jobs)
         except BaseException:  # Ctrl-C does not wait for whole fits
             stopped.set()
             raise

@@ -158,7 +158,7 @@ def fitted(
     failed = (*checks.failures, *failed, *more, *unmoved)
     sentences = (
         *trajectories.gust_sentences(met, beside),
-        *trajectories.settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed),
+        *trajectories.settled_sentences(apart, beside, still_apart(apart, beside), disputed=disputed),
         *(() if beside is None else trajectories.process_noise_sentences(beside, flown)),
         *text.fly_sentences(flown, hindered, disturbed=bool(options.process_noise)),
         *text.disagreement_sentences(apart, hindered),
