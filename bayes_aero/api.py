@@ -249,9 +249,9 @@ def diagnose(
     if model is None:
         card, _ = on_recorded_axes(card, records)
     chosen = DiagnosisSettings(**settings, process_noise=process_noise)
-    found = run_diagnosis(records, card, model=model, settings=chosen, seed=seed, extra=candidates)
-    known = errors_of_diagnosis(found) if found.by_coefficients else None
-    return Diagnosed(view_of(found), card, record_checks(records, card, seed, known=known, seek=False))
+    diagnosis = run_diagnosis(records, card, model=model, settings=chosen, seed=seed, extra=candidates)
+    errors = errors_of_diagnosis(diagnosis) if diagnosis.by_coefficients else None
+    return Diagnosed(view_of(diagnosis), card, record_checks(records, card, seed, errors=errors, seek=False))
 
 
 def _sound(records: Sequence[FlightRecord], card: Card) -> list[FlightRecord]:
@@ -450,21 +450,21 @@ def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | N
     """
     drawn = result.plot() if figure is None else result.plot(figure)
     if width is not None:
-        own, height = drawn.get_size_inches()
-        drawn.set_size_inches(width, height * width / own)
+        drawn_width, height = drawn.get_size_inches()
+        drawn.set_size_inches(width, height * width / drawn_width)
     return drawn
 
 
 def _doubts(health: Sequence[HealthFinding], agreement: Consistency | None, *, corrects: bool) -> list[str]:
-    said = [finding.sentence for finding in health]
+    doubts = [finding.sentence for finding in health]
     if agreement is not None and agreement.disagrees:
-        said += consistency_sentences(agreement, corrects=corrects)[:1]
-    return said
+        doubts += consistency_sentences(agreement, corrects=corrects)[:1]
+    return doubts
 
 
-def _choose(what: str, given: str, known: Collection[str]) -> None:
-    if given not in known:
-        raise InputError(f"there is no {what} {given!r}; choose one of {', '.join(known)}")
+def _choose(what: str, given: str, names: Collection[str]) -> None:
+    if given not in names:
+        raise InputError(f"there is no {what} {given!r}; choose one of {', '.join(names)}")
 
 
 def _drawn(figures: Mapping[str, Callable[[Shown], Figure]], name: str, shown: Shown) -> Figure:

@@ -301,19 +301,19 @@ FIELDS_OF_PARAMETER = ("unit", "start", "bounds", "sign", "limits", "place")
 
 
 def derivative(
-    name: str, claim: str, output: str, by: str, own: tuple[str, str, Any, Any], example: tuple[float, ...], **more: Any
+    name: str, claim: str, output: str, by: str, row: tuple[str, str, Any, Any], example: tuple[float, ...], **more: Any
 ) -> Effect:
-    """`output` += parameter (`own`: name, description, prior, sizes) x regressor (`by`); x (1 - X) where `separated`: X
+    """`output` += parameter (`row`: name, description, prior, sizes) x regressor (`by`); x (1 - X) where `separated`: X
     of the example, as it is written. `example`: value of the parameter, of each signal and of the output. `remark`:
     more of the formula. Other fields are those of the parameter or of the effect."""
-    (coefficient, text, prior, sizes), r = own, REGRESSORS[by]
+    (coefficient, text, prior, sizes), r = row, REGRESSORS[by]
     value, *signals, result = example
-    by_hand, symbol, known = r.by_hand.format(*example), r.symbol, None
+    by_hand, symbol, separation = r.by_hand.format(*example), r.symbol, None
     separated, remark = more.pop("separated", ""), more.pop("remark", "")
     fields = {"source": DERIVATIVE, "together": by in ("dlc", "spoilers", "spoiler difference")}
     if separated:
         above, _, below = separated.partition("/")
-        known = {"X": float(above) / float(below or 1)}
+        separation = {"X": float(above) / float(below or 1)}
         share = f" x (1 - {separated})"
         by_hand = f"{value:g}{share}, by hand" if by == "1" else by_hand.replace(" x ", f"{share} x ", 1)
         symbol, fields = f"(1 - X) {symbol}", fields | {"source": SEPARATED_SHARE, "stage": Stage.TOTAL}
@@ -328,7 +328,7 @@ def derivative(
             output: r.times(v[coefficient] * (1.0 - flow["X"]) if separated else v[coefficient], s, a)
         },
         parameter(coefficient, unit, text, prior, sizes, lengths=(*moment, *r.lengths), **of_parameter),
-        example=Example({coefficient: value}, given, {output: result}, by_hand, known),
+        example=Example({coefficient: value}, given, {output: result}, by_hand, separation),
         **fields | more,
     )
 
@@ -347,6 +347,6 @@ class Untestable(str):
     @classmethod
     def of(cls, text: str, names: Iterable[str]) -> Untestable:
         """The sentence."""
-        found = cls(text.format(", ".join(names)))
-        found.text, found.names = text, tuple(names)
-        return found
+        sentence = cls(text.format(", ".join(names)))
+        sentence.text, sentence.names = text, tuple(names)
+        return sentence

@@ -46,16 +46,16 @@ class DefectError(RuntimeError):
 
 
 def plain_line(text: str) -> str:
-    line = _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+    line = _CONTROL.sub(lambda match: ascii(match[0])[1:-1], text)
     return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
 
 
-def failure(what: str, reason: Exception, folder: Path | None = None, *, own: bool = False) -> str:
-    """The sentence that `what` is not there; where in the program it failed is added to error.txt in `folder`. `own`:
-    whether effects of the user's own may have failed. The reason is raised where no more can be written."""
+def failure(what: str, reason: Exception, folder: Path | None = None, *, user_code: bool = False) -> str:
+    """The sentence that `what` is not there; where in the program it failed is added to error.txt in `folder`.
+    `user_code`: whether the user's own effects may have failed. The reason is raised where no more can be written."""
     if no_space(reason):
         raise reason
-    where, whose = "", "the program or of the card's effect files" if own else "the program"
+    where, whose = "", "the program or of the card's effect files" if user_code else "the program"
     if folder is not None:
         with suppress(OSError), (folder / ERROR).open("a", encoding="utf-8") as handle:
             handle.write("".join(traceback.format_exception(reason)) + "\n")
@@ -71,7 +71,7 @@ def failure(what: str, reason: Exception, folder: Path | None = None, *, own: bo
 
 
 def attempted(
-    what: str, do: Callable[[], Found], otherwise: Found, folder: Path | None = None, *, own: bool = False
+    what: str, do: Callable[[], Found], otherwise: Found, folder: Path | None = None, *, user_code: bool = False
 ) -> tuple[Found, tuple[str, ...]]:
     """What `do` returns; or `otherwise`, and the sentence of `failure`. Bad input is raised as ever."""
     try:
@@ -79,7 +79,7 @@ def attempted(
     except (InputError, CancelledError):
         raise
     except Exception as reason:  # whatever it is, the other parts of the job stand; it is reported, and the job fails
-        return otherwise, (failure(what, reason, folder, own=own),)
+        return otherwise, (failure(what, reason, folder, user_code=user_code),)
 
 
 def no_space(error: BaseException | None) -> bool:

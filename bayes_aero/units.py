@@ -58,7 +58,7 @@ def _meanings(unit: str) -> tuple[tuple[str, Any], ...]:
         return (("1", _registry().Unit("dimensionless")),)
     if not (texts := spellings(unit)):  # of some, capitals leave open which of two is meant: "MS" is no siemens, either
         texts = () if plain not in EXACT and plain.lower() in _CASE_TELLS else (plain,)
-    return tuple((text, known) for text in texts if (known := _pint(text)) is not None)
+    return tuple((text, meaning) for text in texts if (meaning := _pint(text)) is not None)
 
 
 def _pint(unit: str) -> Any:
@@ -74,12 +74,12 @@ def _pint(unit: str) -> Any:
     return None
 
 
-def _pair(one: str, other: str, where: str) -> tuple[Any, Any]:
+def _pair(left: str, right: str, where: str) -> tuple[Any, Any]:
     """Two units as they are meant beside each other: "lb" is a mass beside "kg" and a force beside "N"."""
-    for unit in (one, other):
+    for unit in (left, right):
         if not _meanings(unit):
             raise InputError(f"{where}: the unit {unit[:40]!r} is not known; write it as in pint, {_EXAMPLES}")
-    pairs = [(a, b) for _, a in _meanings(one) for _, b in _meanings(other)]
+    pairs = [(a, b) for _, a in _meanings(left) for _, b in _meanings(right)]
     return next((pair for pair in pairs if pair[0].dimensionality == pair[1].dimensionality), pairs[0])
 
 
@@ -133,21 +133,21 @@ def _between(values: Any, source: str, target: str, given: str, where: str) -> n
     return np.asarray(_convert(np.array(values, dtype=np.float64), source, target, where), dtype=np.float64)
 
 
-def same_unit(one: str, other: str) -> bool | None:
+def same_unit(left: str, right: str) -> bool | None:
     """Whether two spellings mean one unit; None where either is none, or a dash beside one that is."""
-    if not _meanings(one) or not _meanings(other):
+    if not _meanings(left) or not _meanings(right):
         return None
-    if not same_kind(one, other):
-        return None if {one.strip().lower(), other.strip().lower()} & _SAYS_NOTHING else False
+    if not same_kind(left, right):
+        return None if {left.strip().lower(), right.strip().lower()} & _SAYS_NOTHING else False
     # Two points, for scales with an offset such as degC.
-    return all(math.isclose(_convert(x, one, other, "unit"), x, rel_tol=1e-9) for x in (1.0, 300.0))
+    return all(math.isclose(_convert(x, left, right, "unit"), x, rel_tol=1e-9) for x in (1.0, 300.0))
 
 
-def same_kind(one: str, other: str) -> bool:
+def same_kind(left: str, right: str) -> bool:
     """Whether a quantity can be given in either unit; False where one is no unit at all."""
-    if not _meanings(one) or not _meanings(other):
+    if not _meanings(left) or not _meanings(right):
         return False
-    first, second = _pair(one, other, "unit")
+    first, second = _pair(left, right, "unit")
     return first.dimensionality == second.dimensionality and _turns(first) == _turns(second)
 
 
@@ -284,8 +284,8 @@ def _product(text: str) -> tuple[str, ...]:
         for unit, power in units:
             above, *below = unit.split("/")
             for sign, part in [*((1, part) for part in above.split()), *((-1, part) for part in below)]:
-                name, _, own = part.partition("^")
-                powers[name] = powers.get(name, 0) + sign * int(own or 1) * power
+                name, _, exponent = part.partition("^")
+                powers[name] = powers.get(name, 0) + sign * int(exponent or 1) * power
         above = " ".join(f"{n}^{p}" if p > 1 else n for n, p in powers.items() if p > 0)
         below = "".join(f"/{n}^{-p}" if p < -1 else f"/{n}" for n, p in powers.items() if p < 0)
         composed.append((above or "1") + below)

@@ -39,11 +39,11 @@ app = typer.Typer(
 )
 
 
-def _version(asked: bool) -> bool:
-    if asked:
+def _version(requested: bool) -> bool:
+    if requested:
         typer.echo(f"bayes-aero {__version__}")
         raise typer.Exit
-    return asked
+    return requested
 
 
 @app.callback()

@@ -63,16 +63,16 @@ def identify(
         same = card.sha256 == read_card("attas").sha256  # with another card's constants the parameters are others
         flights, truth = demo_records(), TRUTH if same else None
     with terminal.working(out) as tell:
-        found = job.identify(flights, card, options, out=out, truth=truth, progress=tell)
+        identification = job.identify(flights, card, options, out=out, truth=truth, progress=tell)
 
     def show() -> None:
-        console.print(parameter_table(found).terminal())
-        if found.next_flight is not None:
-            console.print(next_flight_table(found).terminal())
-        terminal.print_lines(console, verdict(found), found.notes)
+        console.print(parameter_table(identification).terminal())
+        if identification.next_flight is not None:
+            console.print(next_flight_table(identification).terminal())
+        terminal.print_lines(console, verdict(identification), identification.notes)
         console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
 
-    terminal.conclude(console, found, show, json=out / "results.json" if json else None)
+    terminal.conclude(console, identification, show, json=out / "results.json" if json else None)
 
 
 @terminal.with_options
@@ -107,28 +107,28 @@ def diagnose(
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, then searched for.")
             hidden, flights = hide_one(card, options.seed)
-        found = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell)
-    d, rankings = found.diagnosis, found.view.rankings
+        outcome = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell)
+    d, rankings = outcome.diagnosis, outcome.view.rankings
     names = [record.name for record in flights]
     written = [] if write_effect is None else [write_effects(d.terms, names, write_effect)]
 
     def show() -> None:
-        verdict, *rest = sentences(found.view)
+        verdict, *rest = sentences(outcome.view)
         console.print(verdict, highlight=False, style="bold")
         if d.causes or rankings:
             first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
             console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
-        if found.view.trajectories is not None:
-            console.print(hold_out_table(found.view.trajectories, brief=True).terminal())
-        more = (*in_band_sentences(found.in_band), *points_sentences(found.test_points))
-        terminal.print_lines(console, (*rest, *more), found.notes)
-        for sentence in revealed(found.hidden, found.named) if found.hidden is not None else ():
+        if outcome.view.trajectories is not None:
+            console.print(hold_out_table(outcome.view.trajectories, brief=True).terminal())
+        more = (*in_band_sentences(outcome.in_band), *points_sentences(outcome.test_points))
+        terminal.print_lines(console, (*rest, *more), outcome.notes)
+        for sentence in revealed(outcome.hidden, outcome.named) if outcome.hidden is not None else ():
             console.print(sentence, highlight=False, style="bold")
         for line in (*written, f"Results are in {out}"):
             console.print(line, highlight=False, soft_wrap=True)
 
     # Trajectories alone are fitted to the record as it is.
-    terminal.conclude(console, found, show, json=out / "diagnosis.json" if json else None, corrects=d.by_coefficients)
+    terminal.conclude(console, outcome, show, json=out / "diagnosis.json" if json else None, corrects=d.by_coefficients)
 
 
 @terminal.with_options
@@ -152,8 +152,8 @@ def fly(
         from bayes_aero.jobs.fly import fly as job
 
     with terminal.working(out) as tell:
-        found = job(flights, card, options, out=out, progress=tell)
-    conclude_fit(found, out, json=json)
+        flight = job(flights, card, options, out=out, progress=tell)
+    conclude_fit(flight, out, json=json)
 
 
 @terminal.with_options
@@ -180,32 +180,32 @@ def path(
         from bayes_aero.jobs.fly import flight_path
 
     with terminal.working(out) as tell:
-        found = flight_path(flights, card, options, out=out, progress=tell)
-    conclude_fit(found, out, json=json, compared=False, doubtful=bool(found.flown.worse))
+        flight = flight_path(flights, card, options, out=out, progress=tell)
+    conclude_fit(flight, out, json=json, compared=False, doubtful=bool(flight.flown.worse))
 
 
-def conclude_fit(found: Flight, out: Path, *, json: bool, compared: bool = True, doubtful: bool = False) -> None:
+def conclude_fit(flight: Flight, out: Path, *, json: bool, compared: bool = True, doubtful: bool = False) -> None:
     from bayes_aero.jobs.results import RESULTS
     from bayes_aero.report.pages import fly as of_fit
     from bayes_aero.report.pages import trajectories
 
-    console, flown, beside = terminal.teller(quiet=json, highlight=True), found.flown, found.process_noise
+    console, flown, beside = terminal.teller(quiet=json, highlight=True), flight.flown, flight.process_noise
 
     def show() -> None:
         tables = [of_fit.parameter_table(flown)]
         if beside is not None and beside.converged:
             tables.append(trajectories.process_noise_table(beside, flown))
             tables += [] if beside.one_step is None else [trajectories.one_step_table(beside.one_step, flown.units)]
-        tables += [trajectories.posterior_table(found.posteriors)] if found.posteriors else []
+        tables += [trajectories.posterior_table(flight.posteriors)] if flight.posteriors else []
         tables.append(of_fit.error_table(flown))
-        tables += [of_fit.mode_table(found.motion)] if found.motion is not None and found.motion.modes else []
+        tables += [of_fit.mode_table(flight.motion)] if flight.motion is not None and flight.motion.modes else []
         for table in tables:
             console.print(table.terminal())
-        terminal.print_lines(console, found.sentences, found.notes)
+        terminal.print_lines(console, flight.sentences, flight.notes)
         console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
 
     file, failed = out / RESULTS if json else None, not flown.converged
-    terminal.conclude(console, found, show, json=file, compared=compared, failed=failed, doubtful=doubtful)
+    terminal.conclude(console, flight, show, json=file, compared=compared, failed=failed, doubtful=doubtful)
 
 
 # --- bayes-aero export, open and qualify: what is done with a finished result.
@@ -298,16 +298,16 @@ def qualify(
 
     console = terminal.teller(quiet=json)
     with terminal.working(out) as tell:
-        found, failures = qualify_result(result, tuple(records or ()), options, out=out, progress=tell)
+        qualification, failures = qualify_result(result, tuple(records or ()), options, out=out, progress=tell)
 
     def show() -> None:
-        console.print(verdict_sentence(found), soft_wrap=True)
-        console.print(verdict_table(found).terminal())
-        origins = [f"{name}: {text}" for name, text in found.origins.items()]
-        terminal.print_lines(console, (*sentences(found), *further_sentences(found.further), *origins))
+        console.print(verdict_sentence(qualification), soft_wrap=True)
+        console.print(verdict_table(qualification).terminal())
+        origins = [f"{name}: {text}" for name, text in qualification.origins.items()]
+        terminal.print_lines(console, (*sentences(qualification), *further_sentences(qualification.further), *origins))
         console.print(f"Results are in {out}; qualification.html is to be signed or refused", soft_wrap=True)
 
-    terminal.conclude(console, found, show, json=out / RESULTS if json else None, failures=failures)
+    terminal.conclude(console, qualification, show, json=out / RESULTS if json else None, failures=failures)
 
 
 # --- bayes-aero run.
@@ -353,26 +353,26 @@ def run(
         raise InputError("--dry-run is done in this process; leave --workers and --scheduler out")
     from bayes_aero.study.run import plan, read_study
 
-    asked = read_study(study, trust_effects=trust_effects)  # a mistake is reported before the libraries are loaded
+    batch = read_study(study, trust_effects=trust_effects)  # a mistake is reported before the libraries are loaded
     folder = out or Path(f"{study.stem}_results")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give another folder with --out")
-    planned = plan(asked, folder)
+    planned = plan(batch, folder)
     console, states = terminal.teller(quiet=json), [(p.unit, p.state) for p in planned]
     rows = {u.name: {"name": u.name, **asdict(s), "seconds": None, "error": s.why} for u, s in states}
     code = 0
     if dry_run:
         print_plan(console, list(rows.values()))
     else:
-        results, verdict, unwritten = run_planned(asked, folder, planned, (workers, memory, scheduler))
+        results, verdict, unwritten = run_planned(batch, folder, planned, (workers, memory, scheduler))
         for name, result in results.items():
             rows[name] |= result
-        code = print_outcome(console, folder, rows, len(results), (asked, verdict, unwritten))
+        code = print_outcome(console, folder, rows, len(results), (batch, verdict, unwritten))
     if json:
         counts = dict(Counter(row["state"] for row in rows.values()))
-        about = {"file": asked.path.name, "title": asked.title, "task": asked.task, "sha256": asked.sha256}
-        told = {"study": about, "out": str(folder), "counts": counts, "units": list(rows.values())}
-        terminal.print_json({"schema": "bayes_aero/study/1"} | told)
+        about = {"file": batch.path.name, "title": batch.title, "task": batch.task, "sha256": batch.sha256}
+        summary = {"study": about, "out": str(folder), "counts": counts, "units": list(rows.values())}
+        terminal.print_json({"schema": "bayes_aero/study/1"} | summary)
     raise typer.Exit(code)
 
 
@@ -386,14 +386,14 @@ def print_plan(console: Console, rows: list[dict[str, Any]]) -> None:
 
 
 def run_planned(
-    asked: Study, folder: Path, planned: list[Planned], cluster: tuple[int | None, str | None, str | None]
+    study: Study, folder: Path, planned: list[Planned], cluster: tuple[int | None, str | None, str | None]
 ) -> tuple[Mapping[str, Mapping[str, Any]], str, tuple[str, ...]]:
     """What every unit that was due said, the study's verdict, and what could not be written."""
     with terminal.loading():
         from bayes_aero.study.run import UNITS, StoppedError, plan, put_report, run_study
 
     def resume() -> str:
-        done = sum(p.state.state == "done" for p in plan(asked, folder))
+        done = sum(p.state.state == "done" for p in plan(study, folder))
         return f"{done} of {len(planned)} units are done and kept in {folder}; the same command does the rest"
 
     due = any(p.state.state != "done" for p in planned)
@@ -407,9 +407,9 @@ def run_planned(
             def report(number: int, of: int, unit: Unit, stage: str) -> None:
                 show(f"{number + 1}/{of} {unit.name}: {stage}", number / max(of, 1))
 
-            results = run_study(asked, folder, planned, report=report, runner=runner)
+            results = run_study(study, folder, planned, report=report, runner=runner)
             show("report", 1.0)
-            return results, *put_report(asked, folder)
+            return results, *put_report(study, folder)
     except StoppedError as reason:
         print(f"error: {reason}; {resume()}", file=sys.stderr)
         raise typer.Exit(terminal.FAILED) from None
@@ -420,13 +420,13 @@ def print_outcome(
     folder: Path,
     rows: Mapping[str, Mapping[str, Any]],
     now: int,
-    found: tuple[Study, str, tuple[str, ...]],
+    outcome: tuple[Study, str, tuple[str, ...]],
 ) -> int:
     """Doubts, failures, how many units were done now, the verdict, where the results are; returns the exit code."""
     from bayes_aero.study.run import UNITS, doubts_of
 
-    asked, verdict, unwritten = found
-    doubts = [f"! {unit.name}: {said}" for unit in asked.units for said in doubts_of(unit, folder / UNITS)]
+    study, verdict, unwritten = outcome
+    doubts = [f"! {unit.name}: {doubt}" for unit in study.units for doubt in doubts_of(unit, folder / UNITS)]
     for sentence in doubts:
         console.print(sentence, soft_wrap=True)
     failed = [row for row in rows.values() if row["state"] != "done"]

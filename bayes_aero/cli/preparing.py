@@ -65,8 +65,8 @@ def print_report(console: Console, report: CheckReport) -> None:
     from bayes_aero.report.pages import check as text
     from bayes_aero.report.pages.check import channel_table, sampling
 
-    doubt, told = report.consistency.disagrees, text.sensor_sentences(report)
-    for caution in (*report.cautions, *told[:doubt]):
+    doubt, sentences = report.consistency.disagrees, text.sensor_sentences(report)
+    for caution in (*report.cautions, *sentences[:doubt]):
         console.print(f"! {caution}", style="yellow")
     for r, unused in zip(report.records, text.unused_columns(report), strict=True):
         console.print(r.path, style="bold", end="", soft_wrap=True)
@@ -82,7 +82,7 @@ def print_report(console: Console, report: CheckReport) -> None:
             console.print(sentence, soft_wrap=True)
         for problem in r.problems:
             console.print(f"✗ {problem}", style="red")
-    for sentence in (*text.card_sentences(report), *text.use_sentences(report), *told[doubt:]):
+    for sentence in (*text.card_sentences(report), *text.use_sentences(report), *sentences[doubt:]):
         console.print(sentence)
     for name, error in report.sensors.errors.items():
         faint = " (too small to be named)" if error["minor"] else ""
@@ -162,35 +162,35 @@ def effects(
     from bayes_aero.model.model import effect_named
 
     card = None if model is None else read_card(model)
-    known = known_effects(card)
-    chosen = known.values() if name is None else [effect_named(name, known)]
-    found = [effect_facts(effect, card) for effect in chosen]
+    catalogue = known_effects(card)
+    chosen = catalogue.values() if name is None else [effect_named(name, catalogue)]
+    facts = [effect_facts(effect, card) for effect in chosen]
     if json:
-        terminal.print_json({"schema": "bayes_aero/effects/1", "effects": found})
+        terminal.print_json({"schema": "bayes_aero/effects/1", "effects": facts})
     elif name is None:
-        print_table(found)
+        print_table(facts)
     else:
-        print_effect(found[0])
+        print_effect(facts[0])
 
 
-def print_table(found: Sequence[Mapping[str, Any]]) -> None:
+def print_table(facts: Sequence[Mapping[str, Any]]) -> None:
     """By kind; two lines an effect or more, so that 80 columns hold a row."""
     console = terminal.teller(highlight=True)
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column("effect\n  parameters, unit", no_wrap=True)
     table.add_column("claim\nwhat it needs")
-    for kind in sorted({effect["kind"] for effect in found}):
+    for kind in sorted({effect["kind"] for effect in facts}):
         table.add_section()
         table.add_row(Text(kind.upper(), "bold"), "")
-        for effect in (effect for effect in found if effect["kind"] == kind):
+        for effect in (effect for effect in facts if effect["kind"] == kind):
             name = Text(effect["name"] + (" *" if effect["model"] else ""))
             for p in effect["parameters"]:
                 name.append(f"\n  {p['name']}" + ("" if p["unit"] == "1" else f", {p['unit']}"), "dim")
             needs = f"needs {', '.join(effect['needs']) or 'nothing'}"
             table.add_row(name, Text.assemble(effect["claim"], "\n", (needs, "dim")))
     console.print(table)
-    stars = "*: in the card's model. " if any(effect["model"] for effect in found) else ""
-    console.print(f"{len(found)} effects. {stars}bayes-aero effects NAME explains one.", highlight=False)
+    stars = "*: in the card's model. " if any(effect["model"] for effect in facts) else ""
+    console.print(f"{len(facts)} effects. {stars}bayes-aero effects NAME explains one.", highlight=False)
 
 
 def print_effect(effect: Mapping[str, Any]) -> None:
@@ -251,20 +251,20 @@ def simulate(
         from bayes_aero.simulate.demo import Request
 
     card = read_card(model)
-    known = known_effects(card)
-    asked = (manoeuvre, noise, noise_scale, seed, duration, dt, airspeed, altitude, amplitude)
-    request = Request(parsed_effects(effect or [], known), *asked)
+    catalogue = known_effects(card)
+    settings = (manoeuvre, noise, noise_scale, seed, duration, dt, airspeed, altitude, amplitude)
+    request = Request(parsed_effects(effect or [], catalogue), *settings)
     with terminal.interruptible(lambda: "nothing was written; give the same command again"), terminal.bar("simulating"):
-        found, truth = simulate_file(request, card, known, out)
+        simulated, truth = simulate_file(request, card, catalogue, out)
     if json:
         terminal.print_json(truth)
-    console, record = terminal.teller(quiet=json), found.record
+    console, record = terminal.teller(quiet=json), simulated.record
     console.print(
         f"{manoeuvre}: {record.n} samples, {record.time[-1]:g} s, {len(record.channels)} channels → {out}",
         soft_wrap=True,
     )
     for name, values in request.effects.items():
         console.print(f"hidden effect: {name}, {', '.join(f'{p} = {x:g}' for p, x in values.items())} (SI)")
-    for note in found.notes:
+    for note in simulated.notes:
         console.print(f"! {note}")
     console.print(f"The truth is in {out}.truth.json", soft_wrap=True)

@@ -46,11 +46,11 @@ Command = TypeVar("Command", bound=Callable[..., None])
 
 def with_options(command: Command) -> Command:
     """The command with each parameter that is a class of options spread out: one option a field."""
-    hints, found, classes = get_type_hints(command, include_extras=True), [], {}
+    hints, parameters, classes = get_type_hints(command, include_extras=True), [], {}
     for p in inspect.signature(command).parameters.values():
         hint = hints[p.name]
         if not (isinstance(hint, type) and issubclass(hint, Options)):
-            found.append(p.replace(kind=p.KEYWORD_ONLY, annotation=hint))
+            parameters.append(p.replace(kind=p.KEYWORD_ONLY, annotation=hint))
             continue
         rows = {f.metadata["name"] or f.name: f for f in fields(hint) if f.metadata["name"] is not None}  # type: ignore[arg-type]
         classes[p.name] = hint, rows
@@ -59,7 +59,7 @@ def with_options(command: Command) -> Command:
             spelled = [f"--{name.replace('_', '-')}"] if row.pop("flag", False) else []
             kind = Annotated[hint.kinds()[f.name], typer.Option(*spelled, **row)]
             default = None if f.default == () else f.default  # a list that is not given
-            found.append(inspect.Parameter(name, p.KEYWORD_ONLY, default=default, annotation=kind))
+            parameters.append(inspect.Parameter(name, p.KEYWORD_ONLY, default=default, annotation=kind))
 
     @wraps(command)
     def run(**given: Any) -> None:
@@ -69,8 +69,8 @@ def with_options(command: Command) -> Command:
             given[parameter] = of(**values | lists)
         command(**given)
 
-    run.__signature__ = inspect.Signature(found)  # type: ignore[attr-defined]
-    run.__annotations__ = {p.name: p.annotation for p in found}
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
     return run  # type: ignore[return-value]
 
 
@@ -156,7 +156,7 @@ def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding]
 
 def conclude(
     console: Console,
-    found: Any,
+    outcome: Any,
     show: Callable[[], None],
     *,
     json: Path | None,
@@ -171,13 +171,13 @@ def conclude(
     use; `doubtful`: it is in doubt whatever the records are."""
     from bayes_aero.report.pages.parts import consistency_sentences
 
-    failed_parts: Sequence[str] = found.failures if failures is None else failures
-    agreement: Consistency | None = found.consistency if compared else None
+    failed_parts: Sequence[str] = outcome.failures if failures is None else failures
+    agreement: Consistency | None = outcome.consistency if compared else None
     if json is not None:
         typer.echo(json.read_text(encoding="utf-8"), nl=False)
     else:
         print_failures(console, failed_parts)
-        print_lines(console, (), [finding.sentence for finding in found.health])
+        print_lines(console, (), [finding.sentence for finding in outcome.health])
         if agreement is not None:
             print_lines(console, consistency_sentences(agreement, corrects=corrects))
         show()
@@ -185,7 +185,7 @@ def conclude(
         raise typer.Exit(FAILED)
     if doubtful:
         raise typer.Exit(DOUBT)
-    exit_in_doubt(agreement, found.health, corrects=corrects)
+    exit_in_doubt(agreement, outcome.health, corrects=corrects)
 
 
 class InterruptionError(Exception):

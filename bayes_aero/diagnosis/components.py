@@ -74,11 +74,11 @@ def _beyond(quantity: TermFactor, at: float) -> str:
 
 def _break(quantity: TermFactor, at: float) -> TermFactor:
     """What the quantity is beyond a value, on either side if `lateral`: its slope is another one there."""
-    own, lateral = quantity.code, quantity.lateral
-    code = f"xp.maximum({f'xp.abs({own})' if lateral else own} - {at!r}, 0.0)"
+    expression, lateral = quantity.code, quantity.lateral
+    code = f"xp.maximum({f'xp.abs({expression})' if lateral else expression} - {at!r}, 0.0)"
     name = f"max({_beyond(quantity, at)}, 0)"
     if lateral:
-        name, code = f"sign({quantity.name}) max(|{quantity.name}| - {at:g}, 0)", f"xp.sign({own}) * {code}"
+        name, code = f"sign({quantity.name}) max(|{quantity.name}| - {at:g}, 0)", f"xp.sign({expression}) * {code}"
 
     def evaluate(s: Signals, a: Aircraft) -> Float[np.ndarray, " n"]:
         x = quantity.evaluate(s, a)
@@ -437,8 +437,8 @@ def testable(state: SelectionState) -> bool:
 def _scanned(state: SelectionState) -> tuple[Columns, list[Span]]:
     """Columns of the parameters of the aerodynamics that are in, and the times at which they may change."""
     acting = [e for e in state.full.model.effects if e.kind is Kind.AERODYNAMICS and e.stage > Stage.INFLOW]
-    own, names = {p for e in acting for p in state.full.parameters_of(e.name)}, state.full.model.names
-    columns = np.array([c for c in state.columns() if c < len(names) and names[c] in own], int)
+    parameters, names = {p for e in acting for p in state.full.parameters_of(e.name)}, state.full.model.names
+    columns = np.array([c for c in state.columns() if c < len(names) and names[c] in parameters], int)
     least = max(1, round(state.settings.change_least / state.responses.seconds))
     return columns, spans(state.responses.manoeuvre, least, state.settings.change_begins)
 
@@ -503,8 +503,8 @@ def spans(manoeuvre: Int[np.ndarray, " m"], least: int, most: int) -> list[Span]
     count, m = int(manoeuvre[-1]) + 1, len(manoeuvre)
     changes = []
     for k in range(count):
-        own = np.flatnonzero(manoeuvre == k)
-        first, last = int(own[0]), int(own[-1]) + 1
+        blocks = np.flatnonzero(manoeuvre == k)
+        first, last = int(blocks[0]), int(blocks[-1]) + 1
         begins = [*([first] if k else []), *range(first + least, last - least + 1, -(-m // most))]
         # The records may be of one flight, where a change lasts, or of several, where it does not.
         ends = {m} if k == count - 1 else {last, m}
@@ -527,16 +527,16 @@ class ChangeScan:
         self._S, self._B = state.scaled[:, :, columns], state.scaled[:, :, fit.columns]
         self._begin, self._end = (np.array([getattr(span, side) for span in over]) for side in ("begin", "end"))
         self._weighed = self._S * self.weight[:, None]
-        own = self._summed(np.sum(self._S * self._weighed, axis=1))
+        squares = self._summed(np.sum(self._S * self._weighed, axis=1))
         cross = self._summed(np.matmul(np.moveaxis(self._weighed, 1, 2), self._B))
         self._shares = cross @ inverse(fit.normal)  # n p k
-        information = own - np.sum(self._shares * cross, axis=2)
-        self.noise_shares = self._noise_shares(fit, own, cross)
+        information = squares - np.sum(self._shares * cross, axis=2)
+        self.noise_shares = self._noise_shares(fit, squares, cross)
         whole, noisy = np.sum(self._S * self._weighed, axis=(0, 1)), np.any(self.noise_shares > NOISY, axis=0)
         self._idle = noisy | (information <= NOTHING * whole)  # what the model can do as well
         self.information = np.where(self._idle, 1.0, information)
 
-    def _noise_shares(self, fit: RegressionFit, own: np.ndarray, cross: np.ndarray) -> np.ndarray:
+    def _noise_shares(self, fit: RegressionFit, squares: np.ndarray, cross: np.ndarray) -> np.ndarray:
         """Share of noise in what tells the value of each parameter within each span, and in what tells it elsewhere."""
 
         def form(x: Float[np.ndarray, "n k"], y: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
@@ -553,7 +553,7 @@ class ChangeScan:
             others = shared - np.outer(shared[:, at], shared[at]) / shared[at, at]  # without the parameter itself
             total = np.einsum("mc,mck->k", self._weighed[:, :, p], self._B)
             inside, outside = cross[:, p], total - cross[:, p]
-            a, b = own[:, p] - form(inside, inside), whole[p] - own[:, p] - form(outside, outside)
+            a, b = squares[:, p] - form(inside, inside), whole[p] - squares[:, p] - form(outside, outside)
             c = -form(inside, outside)
             information = np.stack([a - c**2 / np.maximum(b, 1e-300), b - c**2 / np.maximum(a, 1e-300)])
             shares[:, :, p] = noise[:, :, p] / np.maximum(information, 1e-300)
@@ -651,8 +651,8 @@ def _as_good(state: SelectionState, change: FoundChange) -> tuple[tuple[int, int
     """First and last block where it may begin as well; other parameters that explain as much; variance inflation."""
     scan, settings, (span, parameter) = change.scan, state.settings, change.at
     estimates = scan.estimates(change.residual)
-    gains, own = scan.gains(estimates), scan.over[span]
-    same = [i for i, other in enumerate(scan.over) if (other.manoeuvre, other.end) == (own.manoeuvre, own.end)]
+    gains, chosen = scan.gains(estimates), scan.over[span]
+    same = [i for i, other in enumerate(scan.over) if (other.manoeuvre, other.end) == (chosen.manoeuvre, chosen.end)]
     same = sorted(same, key=lambda i: -gains[i, parameter])[:NEAREST]
     others = [(int(best), p) for p, best in enumerate(np.argmax(gains, axis=0)) if p != parameter]
     places = [(span, parameter), *((i, parameter) for i in same), *others]

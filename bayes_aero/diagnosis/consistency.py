@@ -41,7 +41,7 @@ class KnownErrors(NamedTuple):
 
 
 def consistency(
-    records: Sequence[FlightRecord], card: Card, *, seed: int = 0, seek: bool = True, known: KnownErrors | None = None
+    records: Sequence[FlightRecord], card: Card, *, seed: int = 0, seek: bool = True, errors: KnownErrors | None = None
 ) -> Consistency:
     """Check the flight path of each record; where sensors disagree, `seek` the error that explains it."""
     if why := no_flight_path(records, card):
@@ -49,19 +49,19 @@ def consistency(
     flights = _flights(records, card)
     unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
     report = Consistency("", unchecked, checks(flights, card, seed))
-    if known is None:
+    if errors is None:
         if report.agreement is Agreement.AGREE or not seek:
             return report
         try:
-            known = errors_of_path(screen_sensor_errors(list(records), card, seed=seed))
+            errors = errors_of_path(screen_sensor_errors(list(records), card, seed=seed))
         except InputError as reason:
             return replace(report, unsought=str(reason))
-    report = replace(report, errors=known.errors, open=known.open)
-    if report.agreement is Agreement.AGREE or not known.effects:
+    report = replace(report, errors=errors.errors, open=errors.open)
+    if report.agreement is Agreement.AGREE or not errors.effects:
         return report
     # Where the sensors disagree, they are checked again without the errors that are known.
-    values = {p: x["mean"] for e in known.errors.values() for p, x in e["parameters"].items()}
-    corrected = with_corrections(flights, Model.of(known.effects, axes=tuple(Axis)), values)
+    values = {p: x["mean"] for e in errors.errors.values() for p, x in e["parameters"].items()}
+    corrected = with_corrections(flights, Model.of(errors.effects, axes=tuple(Axis)), values)
     return replace(report, corrected=checks(corrected, card, seed))
 
 
@@ -76,15 +76,15 @@ def _flights(records: Sequence[FlightRecord], card: Card) -> Flights:
     return despiked(flights)[0]
 
 
-def errors_of_path(known: Extension) -> KnownErrors:
+def errors_of_path(sensors: Extension) -> KnownErrors:
     """Errors of sensors and winds that a search along the flight path has found, minor ones included."""
     # One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
     # estimated together with such a one is no error by itself, either.
-    everything, out = (known, *known.larger), without_hold(known)
-    joint = selection.correlated(known, known.state.active)
+    everything, out = (sensors, *sensors.larger), without_hold(sensors)
+    joint = selection.correlated(sensors, sensors.state.active)
     named = {e.name: e for extension in everything for e in extension.state.full.candidates}
-    effects = [named[name] for name in (*known.causes, *known.minor) if name not in out]
-    plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in effects}
+    effects = [named[name] for name in (*sensors.causes, *sensors.minor) if name not in out]
+    plain = {e.name: _plain(e, sensors.sizes, joint.get(e.name, {}), minor=e.name in sensors.minor) for e in effects}
     undecided = []
     for extension in everything:
         for name, partners in without_hold(extension).items():
@@ -93,7 +93,7 @@ def errors_of_path(known: Extension) -> KnownErrors:
                 x, others = extension.sizes[parameter.name], (tuple(partners), 1.0, dict(partners))
                 undecided.append(OpenError(name, parameter.unit, x.mean, x.sd, x.sd, False, *others))
     unheld = {entry.name for entry in undecided}
-    return KnownErrors(tuple(effects), plain, (*undecided, *(e for e in open_errors(known) if e.name not in unheld)))
+    return KnownErrors(tuple(effects), plain, (*undecided, *(e for e in open_errors(sensors) if e.name not in unheld)))
 
 
 def errors_of_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
@@ -129,7 +129,7 @@ def _paths(flights: Flights, card: Card, seed: int) -> list[_RecordedPath]:
     channels = {n: by_manoeuvre(np.asarray(x), flights) for n, x in flights.channels.items() if n in PATH_NEEDS}
     times, at = by_manoeuvre(np.asarray(flights.time), flights), flights.aircraft.accelerometer
     parts = [{n: x[k] for n, x in channels.items()} for k in range(len(times))]
-    return [_RecordedPath(*one, card, at, seed) for one in zip(flights.names, times, parts, strict=True)]
+    return [_RecordedPath(*record, card, at, seed) for record in zip(flights.names, times, parts, strict=True)]
 
 
 # --- Do the sensors agree? The flight path alone, before any aerodynamics.
@@ -144,17 +144,17 @@ def check_sensors(
     theta: Float[np.ndarray, " k"],
     *,
     seed: int,
-    known: Sequence[str] = (),
+    base: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
 ) -> Extension:
-    """Errors of sensors and winds that the flight path asks for beside `known` ones, whose sizes `priors` tell."""
+    """Errors of sensors and winds that the flight path asks for beside those of `base`, whose sizes `priors` tell."""
     # Where one is larger than sensors have, all is selected again without it; it stays, and corrects nothing, if the
     # others do not explain the record as well.
 
     def without(barred: tuple[str, ...]) -> Extension:
-        candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in (*known, *barred))
-        own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
-        state = linearised(own, responses, responses.outputs, theta)
+        candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in (*base, *barred))
+        model = replace(full, base=tuple(base), candidates=candidates, priors=priors or {})
+        state = linearised(model, responses, responses.outputs, theta)
         extension = selected(state, seed=seed)
         after = with_several_instead(consistent_across_blocks(extension.state))
         after = consistent_across_blocks(after)  # several errors, too, if stretches bear them out
@@ -233,9 +233,9 @@ class Blocks:
     def judge(self, effect: str) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]] | None:
         """What stretches add to an effect's parameters, and its covariance by their scatter; None without effect."""
         state = self.state
-        own = state.full.own_columns(effect)
-        others = np.setdiff1d(state.columns([e for e in state.active if e != effect]), [*own, *state.offsets])
-        S, B = (self._centred(state.scaled[:, :, columns]) for columns in (own, others))
+        at = state.full.own_columns(effect)
+        others = np.setdiff1d(state.columns([e for e in state.active if e != effect]), [*at, *state.offsets])
+        S, B = (self._centred(state.scaled[:, :, columns]) for columns in (at, others))
         if not np.all(np.any(S != 0.0, axis=(0, 1))):
             return None
         both = selection_state.partialled(np.concatenate([S, self.left[:, :, None]], axis=2), B, self.weight)
@@ -311,11 +311,11 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
         least, _ = effect.sizes[parameter.name]
         standing = None if effect.name in state.active else screening.of(effect.name)
         if standing is None:
-            mean, sd, asked = extension.sizes[parameter.name].mean, extension.sizes[parameter.name].sd, False
+            mean, sd, sought = extension.sizes[parameter.name].mean, extension.sizes[parameter.name].sd, False
         else:  # were it the only one; and whether one worth a name would explain much of what is left if confirmed
             mean, sd = float(standing.step[0]), float(standing.sd[0])
             clear = standing.score >= settings.least_score and standing.log_bayes > 0.0 and abs(mean) >= least
-            asked = clear and selection.explained(state, standing) >= settings.open_share
+            sought = clear and selection.explained(state, standing) >= settings.open_share
         wide = max(sd, float(among[place]))
         there = max(least, abs(mean)) if standing is None else least
         nearest = (p for p in _nearest(gram, effects, place, settings, there) if p[1] >= settings.imitated)
@@ -323,8 +323,8 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
         decided = standing is None and abs(jointly[place]) >= settings.least_score * wide
         if decided or settings.least_score * wide < least:  # nobody hides an error that is worth a name
             imitators, share = (), 0.0
-        if asked or imitators:
-            undecided.append(OpenError(effect.name, parameter.unit, mean, sd, wide, asked, imitators, share))
+        if sought or imitators:
+            undecided.append(OpenError(effect.name, parameter.unit, mean, sd, wide, sought, imitators, share))
     rank = {standing.effect: k for k, standing in reversed(list(enumerate(screening.candidate_scores)))}
     return tuple(sorted(undecided, key=lambda e: (not e.asked, rank.get(e.name, len(rank)))))
 
@@ -334,7 +334,7 @@ def _information_of_errors(state: SelectionState) -> tuple[list[Effect], np.ndar
     single = [e for e in state.full.candidates if len(e.parameters) == 1 and not e.scan and e.sizes]
     effects = [e for e in single if np.any(state.S[:, :, state.full.own_columns(e.name)])]
     columns = state.full.columns([e.parameters[0].name for e in effects])
-    X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
+    X, begin = (state.scaled[state.inside][:, :, at] for at in (columns, state.offsets))
     weight = 1.0 / state.best.variance
     X = selection_state.partialled(X, begin, weight)
     right = np.einsum("mci,c,mc->i", X, weight, state.left()[state.inside])
@@ -475,7 +475,7 @@ def path_check(path: _RecordedPath) -> PathCheck:
     drawn = path.residuals(path.disturbances(turbulence, REPLICATES)) - path.recorded
     each = zip(constant.items(), np.eye(len(constant)), strict=True)
     # A constant error of each sensor by itself, as large as is permitted.
-    added = {n: np.outer(own, sd * np.ones(len(path.time))) for (n, sd), own in each}
+    added = {n: np.outer(unit, sd * np.ones(len(path.time))) for (n, sd), unit in each}
     measured = _measures(path, drawn, path.residuals(added) - path.recorded)
     recorded, usual = measured[0], np.sqrt(np.mean(measured[1:] ** 2, axis=0))
     # As many times a measure's usual size as the largest of its kind in any record of noise.

@@ -228,20 +228,20 @@ class Information:
     def deviations(self, signals: Signals) -> dict[tuple[str, str], float]:
         """By how many standard deviations the first of each pair differs from its best imitation by the other."""
         place = {label: k for k, label in enumerate(self.labels)}
-        members = {place[label] for own in signals.values() for label in own}
+        members = {place[label] for sizes in signals.values() for label in sizes}
         apart = {}
-        for one, other in permutations(signals, 2):
+        for effect, other in permutations(signals, 2):
             at = [*(k for k in place.values() if k not in members), *(place[label] for label in signals[other])]
             imitated = inverse(self.matrix[np.ix_(at, at)] + np.diag(self.prior[at])) @ self.matrix[at]
             ratios = []
-            for label, size in signals[one].items():
+            for label, size in signals[effect].items():
                 signal = np.zeros(len(place))
                 signal[place[label]] = size
                 left = signal.copy()
                 left[at] -= imitated @ signal
                 spread = float(left @ self.score_variance @ left)
                 ratios.append(float(signal @ self.matrix @ left) / np.sqrt(spread) if spread > 0.0 else 0.0)
-            apart[one, other] = min(ratios)
+            apart[effect, other] = min(ratios)
         return apart
 
 
@@ -266,8 +266,8 @@ def signals_of(state: SelectionState, chosen: Sequence[Effect], sizes: Mapping[s
             present = state.theta[state.full.columns([least.parameter])[0]]
             signals[effect.name] = {least.parameter: float(least.value - present)}
         else:
-            own = {p: least for p, (least, _) in effect.sizes.items()} | dict(sizes)
-            signals[effect.name] = {label: own[label] for label in columns_by_label(state, effect)}
+            by_parameter = {p: least for p, (least, _) in effect.sizes.items()} | dict(sizes)
+            signals[effect.name] = {label: by_parameter[label] for label in columns_by_label(state, effect)}
     return signals
 
 
@@ -326,8 +326,8 @@ def standard(
     for name, channels in ((n, channels) for n, channels in made.items() if n not in unseen):
         n = len(channels["alpha"])  # a channel that the simulator does not make keeps its mean
         full = {c: channels.get(c, np.full(n, float(jnp.mean(flights.channels[c])))) for c in flights.recorded}
-        own = {c: jnp.asarray(x) for c, x in full.items()} | marks(n, dt)
-        flown[name] = Flights(own, flights.aircraft, np.zeros(n, int), np.arange(n) * dt, (n,), ("standard",))
+        signals = {c: jnp.asarray(x) for c, x in full.items()} | marks(n, dt)
+        flown[name] = Flights(signals, flights.aircraft, np.zeros(n, int), np.arange(n) * dt, (n,), ("standard",))
     excursions = {n: excursion(made[n]) for n in flown}
     refused |= {n: f"{channel} was not recorded" for n, channel in unseen.items()}
     return Standard(small, theta, flown, seconds, excursions, refused, **start, amplitude=amplitude)
@@ -364,11 +364,11 @@ def information_of(state: SelectionState, noise: ResidualNoise, seconds: float |
     """Of a record, or its first `seconds`, all outputs together: on the parameters in, and on every candidate."""
     noise, chosen = noise.of(state.outputs), state.full.candidates
     blocks = None if seconds is None else round(seconds / state.responses.seconds)
-    own = {label: column for e in chosen for label, column in columns_by_label(state, e).items()}
+    candidates = {label: column for e in chosen for label, column in columns_by_label(state, e).items()}
     base = list(map(int, state.columns([n for n in state.active if n not in {e.name for e in chosen}])))
     parameters = {state.full.model.names[k]: k for k in base if k < len(state.theta)}
-    labels = tuple(dict.fromkeys((*sorted(parameters), *own)))
-    columns, alone = [(parameters | own)[label] for label in labels], [k for k in base if k >= len(state.theta)]
+    labels = tuple(dict.fromkeys((*sorted(parameters), *candidates)))
+    columns, alone = [(parameters | candidates)[label] for label in labels], [k for k in base if k >= len(state.theta)]
     whole, weight = state.scaled[:blocks], 1.0 / noise.variance
     S = plain = whole[:, :, columns]
     if alone:

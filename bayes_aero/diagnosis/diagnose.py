@@ -120,7 +120,7 @@ def without_conditional(
     causes: Sequence[result.Cause], beyond: Sequence[result.Cause]
 ) -> tuple[tuple[result.Cause, ...], tuple[result.Cause, ...]]:
     """Causes, and `beyond` with those that were estimated together with one of them: these hold only beside it."""
-    joint = [c for c in causes if any(one.name in c.joint and one.stage == c.stage for one in beyond)]
+    joint = [c for c in causes if any(cause.name in c.joint and cause.stage == c.stage for cause in beyond)]
     return tuple(c for c in causes if c not in joint), (*beyond, *joint)
 
 
@@ -509,19 +509,19 @@ def joint_covariance(
     names = tuple(model.state.full.model.names[c] for c in columns)
     reported = dict(deviations) | {name: size.sd for cause in causes for name, size in cause.parameters.items()}
     variance = np.diag(covariance)
-    beyond = [max(reported.get(name, 0.0) ** 2 - own, 0.0) for name, own in zip(names, variance, strict=True)]
+    beyond = [max(reported.get(name, 0.0) ** 2 - square, 0.0) for name, square in zip(names, variance, strict=True)]
     return names, 0.5 * (covariance + covariance.T) + np.diag(beyond)  # symmetric but for rounding
 
 
 def holdout_scores(view: result.View) -> result.HoldoutScores:
     """Fit both models again without each fold, and score each manoeuvre by these fits and by those to all data."""
     models = {"card": view.card.state, "extended": view.extended.state}
-    left, state = {name: selection.LeftOut.refitted(one) for name, one in models.items()}, view.extended.state
+    left, state = {name: selection.LeftOut.refitted(full) for name, full in models.items()}, view.extended.state
     measured, scores, gains = selection.measured_blocks(state), {}, {}
     for k, manoeuvre in enumerate(view.names):
         here = (state.responses.manoeuvre == k) & left["extended"].inside
-        for model, one in models.items():
-            for split, residual in (("fitted", one.residual), ("hold_out", left[model].residual)):
+        for model, full in models.items():
+            for split, residual in (("fitted", full.residual), ("hold_out", left[model].residual)):
                 scores[model, split, k] = selection.scores_of(state.outputs, measured[here], residual[here])
         differences = compared(left["card"], left["extended"], state, measured, k)
         gains |= {(manoeuvre, name): gain for name, gain in differences.items()}

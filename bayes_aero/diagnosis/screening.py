@@ -168,7 +168,7 @@ class PartialledRegression:
     def __init__(self, state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> None:
         self.state, self.fit, self.weight, wanted = state, fit, 1.0 / fit.variance, np.unique(np.concatenate(blocks))
         self.place = [np.searchsorted(wanted, block) for block in blocks]
-        A, B = (np.where(state.inside[:, None, None], state.scaled[:, :, own], 0.0) for own in (wanted, fit.columns))
+        A, B = (np.where(state.inside[:, None, None], state.scaled[:, :, at], 0.0) for at in (wanted, fit.columns))
         cross = np.einsum("mcb,c,mcj->bj", B, self.weight, A, optimize=True)
         self.P = A - np.einsum("mcb,bj->mcj", B, inverse(fit.normal) @ cross, optimize=True)
         self.information = np.einsum("mci,c,mcj->ij", self.P, self.weight, self.P, optimize=True)
@@ -219,18 +219,18 @@ class PartialledRegression:
         scores = np.abs(right[:, alone]) / np.sqrt(np.maximum(diagonal[:, alone], 1e-300))
         best = np.max(scores, axis=1, initial=0.0)
         for j, meats in zip(wide, whole, strict=True):
-            bread, own = self.bread[j], right[:, self.place[j]]
-            each = [equivalent(bread @ r, bread @ meat @ bread) for r, meat in zip(own, meats, strict=True)]
+            bread, rhs = self.bread[j], right[:, self.place[j]]
+            each = [equivalent(bread @ r, bread @ meat @ bread) for r, meat in zip(rhs, meats, strict=True)]
             best = np.maximum(best, each)
         return best
 
     def apart(
-        self, residual: Rows, estimates: Sequence[np.ndarray], own: int, colour: Autocorrelation, blocks: Marks
+        self, residual: Rows, estimates: Sequence[np.ndarray], away: int, colour: Autocorrelation, blocks: Marks
     ) -> Float[np.ndarray, " j"]:
-        """Variance inflation along the difference of what each block and block `own` explain (1 for `own`)."""
+        """Variance inflation along the difference of what each block and block `away` explain (1 for `away`)."""
         pairs = zip(self.place, estimates, strict=True)
         explained = np.stack([self.P[:, :, place] @ estimate for place, estimate in pairs], axis=2)
-        D, left = explained - explained[:, :, [own]], (residual - explained[:, :, own], blocks)
+        D, left = explained - explained[:, :, [away]], (residual - explained[:, :, away], blocks)
         return inflation_along(D, self.weight, self.state.folds, colour, left)
 
 
@@ -270,8 +270,8 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
 
 def noise_growth_of(state: SelectionState) -> Rows:
     """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0; flight-path outputs have none."""
-    growth, own = np.ones_like(state.residual), state.responses.model.coefficients
-    coefficients = [c for c, name in enumerate(state.outputs) if name in own]
+    growth, names = np.ones_like(state.residual), state.responses.model.coefficients
+    coefficients = [c for c, name in enumerate(state.outputs) if name in names]
     apart = state.responses.separated(state.theta) if coefficients else np.zeros(1)
     if np.ptp(apart) < 0.05:
         return growth
@@ -351,7 +351,7 @@ def screen(
     estimates, covariances = projected.scores(residual, colour, stretch)
     # The deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros.
     columns, dummy, width = state.columns(), state.S.shape[2] - 1, max(len(block[1]) for block in blocks)
-    rows = [np.concatenate([columns, own, np.full(width - len(own), dummy)]) for _, own, _ in blocks]
+    rows = [np.concatenate([columns, at, np.full(width - len(at), dummy)]) for _, at, _ in blocks]
     steps, _, _, deviances = state.products.fit_many(np.array(rows, int), state.mean, state.precision)
     gains, steps, before = fit.deviance - deviances, steps[:, len(columns) :], projected.deviance(residual)
     scanned, apart = {s.effect: state.theta[state.full.columns([s.parameter])[0]] for s in reversed(state.scans)}, None
@@ -359,20 +359,20 @@ def screen(
         away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[j])
         apart = projected.apart(residual, estimates, away, colour, stretch)
     scores = []
-    for j, (effect, own, value) in enumerate(blocks):
+    for j, (effect, at, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
-        step, prior = steps[j][: len(own)], state.precision[own] / state.variance_inflation
+        step, prior = steps[j][: len(at)], state.precision[at] / state.variance_inflation
         possible = value is None or bool(step[0] * (value - scanned[effect]) > 0.0)  # to the side on which it was tried
         score = as_normal(equivalent(estimates[j], covariances[j]), state.responses.freedom)
         scores.append(
             CandidateScore(
                 effect=effect,
-                columns=tuple(int(i) for i in own),
+                columns=tuple(int(i) for i in at),
                 value=value,
                 gain=float(gains[j]) if possible else 0.0,
                 score=score if possible else 0.0,
                 variance_inflation=float(np.max(variance_inflation(variance, np.diag(projected.bread[j])))),
-                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own], prior),
+                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[at], prior),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
@@ -451,8 +451,8 @@ def jackknife_errors(state: SelectionState, blocks: Marks) -> Vector:
 
 def jackknife_p_value(state: SelectionState, fit: RegressionFit, columns: Columns, size: Vector, among: int) -> float:
     """p-value of an addition of this `size` by how far it moves without each part, Bonferroni over `among`."""
-    own, covariance = block_jackknife_covariance(state, fit)
-    at = [int(np.flatnonzero(own == c)[0]) for c in columns]
+    fitted, covariance = block_jackknife_covariance(state, fit)
+    at = [int(np.flatnonzero(fitted == c)[0]) for c in columns]
     return largest_p_value(size, covariance[np.ix_(at, at)], int(state.responses.parts.max()), among)
 
 
@@ -486,8 +486,8 @@ def refit_p_value(state: SelectionState, standing: CandidateScore, noise: Shared
 
     first = autocorrelation_of(state.left(wider), state.folds)
     colour = unbiased(first, leaders(noise_records(state, fit, first, noise.correction))[1])
-    own, at = next(j for j, c in enumerate(blocks) if tuple(c) == standing.columns), np.array(standing.columns, int)
-    ((estimate, covariance),) = judged(own, state.left(fit)[None], [colour])
+    index, at = next(j for j, c in enumerate(blocks) if tuple(c) == standing.columns), np.array(standing.columns, int)
+    ((estimate, covariance),) = judged(index, state.left(fit)[None], [colour])
     score, prior = equivalent(estimate, covariance), state.precision[at] / state.variance_inflation
     if score < state.settings.least_score or log_bayes(estimate, covariance, state.mean[at], prior) <= 0.0:
         return 1.0

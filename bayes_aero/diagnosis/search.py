@@ -171,12 +171,12 @@ class Search:
         def select(barred: tuple[str, ...]) -> Extension:
             """One addition after the other; after each, gusts and noise are estimated anew."""
             nonlocal status
-            known, active, apart, filtered = begin, (), (), None
+            values, active, apart, filtered = begin, (), (), None
             steps: tuple[selection.SelectionStep, ...] = ()
             first: Extension | None = None
             while True:
                 self.progress("process noise", 0.0)
-                state, filtered = filtered_state(full, base, flights, fit.R, known, active, filtered)
+                state, filtered = filtered_state(full, base, flights, fit.R, values, active, filtered)
                 state = selection_state.moved(state, state.theta, apart=apart)
                 room, seed = min(1, self.settings.max_effects - len(active)), self.seed + len(active)
                 added = selection.selected(state, seed=seed, most=room, progress=self.progress, barred=barred)
@@ -185,7 +185,7 @@ class Search:
                 if chosen == active or set(active) - set(chosen):
                     status = filtered.status
                     return selection.sized(replace(added, base=first.base, steps=steps))
-                known = dict(zip(state.full.model.names, added.state.theta, strict=True))
+                values = dict(zip(state.full.model.names, added.state.theta, strict=True))
                 apart, active = added.state.apart, chosen
 
         extension = selection.plausible(select)
@@ -276,13 +276,13 @@ def search_in_stages(
         denied, sensors, aerodynamics = [*denied, name], fewer, other
     # Errors that the coefficients named and the flight path feels: it must be judged with them, not beside them.
     felt = {block[0] for block in sensors.state.blocks}
-    known = tuple(name for name in aerodynamics.state.active if name in felt)
-    if sensors.state.active and known:
-        sizes = {p: aerodynamics.sizes[p] for e in known for p in aerodynamics.state.full.parameters_of(e)}
+    shared = tuple(name for name in aerodynamics.state.active if name in felt)
+    if sensors.state.active and shared:
+        sizes = {p: aerodynamics.sizes[p] for e in shared for p in aerodynamics.state.full.parameters_of(e)}
         priors = {p: Prior("normal", x.mean, x.sd, "coefficients of the same record") for p, x in sizes.items()}
         begin = theta.copy()
         begin[full.columns(list(priors))] = [prior.normal[0] for prior in priors.values()]
-        again = check_sensors(full, path, begin, seed=seed, known=known, priors=priors)
+        again = check_sensors(full, path, begin, seed=seed, base=shared, priors=priors)
         if len(again.state.active) < len(sensors.state.active):  # one of them had stood in for it
             other = coefficients(again)
             if selection.nats_gained(aerodynamics, other) > -full.settings.decisive:
@@ -324,8 +324,8 @@ def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
 
 def _path_gain(sensors: Extension, name: str) -> float:
     """What the flight path gains by an error of a sensor, nats, its colour counted."""
-    own = screen(sensors.state, without=name).of(name)
-    return math.inf if own is None else nats(max(own.gain, 0.0), own.variance_inflation)
+    score = screen(sensors.state, without=name).of(name)
+    return math.inf if score is None else nats(max(score.gain, 0.0), score.variance_inflation)
 
 
 FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
@@ -337,7 +337,7 @@ def filtered_state(
     base: AircraftDynamics,
     flights: Flights,
     R: Float[np.ndarray, " c"],
-    known: Mapping[str, float],
+    values: Mapping[str, float],
     active: tuple[str, ...],
     before: PredictionErrorResult | None,
 ) -> tuple[SelectionState, PredictionErrorResult]:
@@ -346,7 +346,7 @@ def filtered_state(
     out = {p.name for e in full.model.effects if e.name not in (*full.base, *active) for p in e.parameters}
     held = tuple((name, full.neutral[name]) for name in names if name in out)
     dynamics = replace(base, model=replace(full.model, fixed=(*full.model.fixed, *held)))
-    start = np.array([known[name] for name in names if name not in out])
+    start = np.array([values[name] for name in names if name not in out])
     whole = segments(flights, dynamics, substeps=dynamics.substeps(start, flights))
     gusty, filtered = fit_disturbed(whole, start, R, exact=False, similar=before)
     if filtered.status is PredictionErrorStatus.DIVERGED:

@@ -242,25 +242,25 @@ def _reconsidered(state: SelectionState, barred: Sequence[str]) -> SelectionStat
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
     least = state.least_share(state.settings.least_share)
 
-    def bayes_within(own: CandidateScore) -> float:
+    def bayes_within(candidate: CandidateScore) -> float:
         """Log Bayes factor of an addition under the colour that is left with it in."""
-        columns = state.full.own_columns(own.effect)
+        columns = state.full.own_columns(candidate.effect)
         away = state.departure[columns]
         if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, state.best.columns))):
-            return own.log_bayes
+            return candidate.log_bayes
         at, precision = state.best.places(columns), state.precision[columns] / state.variance_inflation
         return screening.log_bayes(away, uncertainty(state)[np.ix_(at, at)], state.mean[columns] + away, precision)
 
     for effect in state.active[:-1]:
         ranking = screen(state, without=effect)
-        own = ranking.of(effect)
+        standing = ranking.of(effect)
         able = (s for s in ranking.candidate_scores if s.effect not in barred and not mixes_noise(state, s))
         best = next(able, ranking.candidate_scores[0])
-        faint = own is not None and own.log_bayes < 0.0 and bayes_within(own) < 0.0
-        if own is None or faint or explained(state, own) < least or mixes_noise(state, own):
+        faint = standing is not None and standing.log_bayes < 0.0 and bayes_within(standing) < 0.0
+        if standing is None or faint or explained(state, standing) < least or mixes_noise(state, standing):
             state = refitted(removed(state, effect))
         elif best.effect != effect:
-            more = best.gain - (1.0 + state.settings.exchange_margin) * own.gain
+            more = best.gain - (1.0 + state.settings.exchange_margin) * standing.gain
             if nats(more, best.variance_inflation_apart) > 1.0:
                 other = refitted(added(removed(state, effect), best))
                 state = other if noise_shares(other)[best.effect] <= OF_NOISE else state
@@ -387,8 +387,8 @@ def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingP
         weight = 1.0 / np.mean(state.residual[state.inside] ** 2, axis=0)
         shifts = [state.scaled[state.inside][:, :, c] * state.departure[c] for c in (i, j)]
         shifts = [x - x.mean(axis=0) for x in shifts]
-        one, other, both = (float(np.sum(weight * x**2)) for x in (*shifts, shifts[0] + shifts[1]))
-        if both >= min(one, other):  # what they do to the outputs, means aside, is less together than either alone
+        first, second, both = (float(np.sum(weight * x**2)) for x in (*shifts, shifts[0] + shifts[1]))
+        if both >= min(first, second):  # what they do to the outputs, means aside, is less together than either alone
             continue
         units = [state.full.model.free[c].unit for c in (i, j)]
         factor = -float(C[0, 1] / C[1, 1])
@@ -402,8 +402,8 @@ def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingP
 
 def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[str, float]]:
     partners: dict[str, dict[str, float]] = {}
-    for (one, other), _, C in _correlated_parameters(extension, effects):
-        partners.setdefault(one, {})[other] = partners.setdefault(other, {})[one] = _correlation(C)
+    for (effect, other), _, C in _correlated_parameters(extension, effects):
+        partners.setdefault(effect, {})[other] = partners.setdefault(other, {})[effect] = _correlation(C)
     return partners
 
 
@@ -421,12 +421,12 @@ def _correlated_parameters(extension: Extension, effects: Sequence[str]) -> Iter
     if len(effects) < 2:
         return
     covariance, at = uncertainty(state), {int(c): k for k, c in enumerate(state.best.columns)}
-    for one, other in combinations(effects, 2):
-        for a, b in product(state.full.parameters_of(one), state.full.parameters_of(other)):
+    for effect, other in combinations(effects, 2):
+        for a, b in product(state.full.parameters_of(effect), state.full.parameters_of(other)):
             places = [at[c] for c in map(int, state.full.columns([a, b])) if c in at]
             C = covariance[np.ix_(places, places)]
             if len(places) == 2 and abs(_correlation(C)) > state.settings.correlated:
-                yield (one, other), (a, b), C
+                yield (effect, other), (a, b), C
 
 
 def _correlation(C: np.ndarray) -> float:
@@ -673,7 +673,7 @@ def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.nd
         """n log(mean square) over folds and outputs; the offsets are each fold's own."""
         used = np.unique(np.concatenate([columns, state.offsets]))
         products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
-        columns, offsets = (np.searchsorted(used, own) for own in (columns, state.offsets))
+        columns, offsets = (np.searchsorted(used, indices) for indices in (columns, state.offsets))
         parameters, flat, total = ~np.isin(columns, offsets), np.zeros(len(used)), 0.0
         for fold in range(len(state.folds)):
             step = products.without(fold).fit(columns, mean, precision).step

@@ -386,14 +386,14 @@ class Products:
         full = np.concatenate([np.zeros((j, 1), int), columns + 1], axis=1)
         part = np.moveaxis(gram[:, full[:, :, None], full[:, None, :]], 0, 1)  # j c k+1 k+1
         least = np.maximum(ROUNDING * part[:, :, 0, 0] / n, TINY)  # records without noise leave less than rounding does
-        own, centre = precision[columns], mean[columns]
+        weights, centre = precision[columns], mean[columns]
 
         def stepped(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             """Step and normal matrix for (j, k+1, k+1) products of samples that are divided by their deviations."""
-            normal = information[:, 1:, 1:] + np.eye(k) * own[:, None, :]
+            normal = information[:, 1:, 1:] + np.eye(k) * weights[:, None, :]
             scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), TINY))
             scaled = normal * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(k)
-            right = (information[:, 1:, 0] + own * centre) * scale
+            right = (information[:, 1:, 0] + weights * centre) * scale
             return scale * np.linalg.solve(scaled, right[:, :, None])[:, :, 0], normal
 
         def variance_of(step: np.ndarray) -> np.ndarray:
@@ -405,7 +405,7 @@ class Products:
             for _ in range(ROUNDS if held is None else 1):
                 step, normal = stepped(np.einsum("jc,jckl->jkl", 1.0 / variance, part))
                 variance = variance_of(step[:, None, :]) if held is None else variance
-            deviance = n * np.log(variance).sum(axis=1) + np.sum(own * (step - centre) ** 2, axis=1)
+            deviance = n * np.log(variance).sum(axis=1) + np.sum(weights * (step - centre) ** 2, axis=1)
             return step, normal, variance, deviance
 
         if held is not None:
@@ -428,8 +428,8 @@ class Products:
 
 def partialled(X: np.ndarray, B: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """What weighted least squares on the columns `B` leaves of each of the columns `X`."""
-    cross, own = (np.einsum("mci,c,mcj->ij", B, weight, other, optimize=True) for other in (X, B))
-    return X - B @ (inverse(own) @ cross)
+    cross, gram = (np.einsum("mci,c,mcj->ij", B, weight, other, optimize=True) for other in (X, B))
+    return X - B @ (inverse(gram) @ cross)
 
 
 TINY = 1e-300
@@ -548,7 +548,7 @@ class SelectionState:
     def blocks(self) -> list[tuple[str, Int[np.ndarray, " w"], float | None]]:
         """Every way in which a candidate that reaches the outputs may enter: name, columns, and any scanned value."""
         if self.components:
-            return [(c.label, own, None) for c, own in zip(self.components, self.component_columns, strict=True)]
+            return [(c.label, at, None) for c, at in zip(self.components, self.component_columns, strict=True)]
         begin, scanned = len(self.theta) + self.nuisance, {scan.effect for scan in self.scans}
         blocks: list[tuple[str, np.ndarray, float | None]] = [
             (scan.effect, np.array([begin + number]), scan.value) for number, scan in enumerate(self.scans)
@@ -560,10 +560,10 @@ class SelectionState:
     def columns(self, effects: Sequence[str] | None = None) -> Int[np.ndarray, " a"]:
         """Columns of the card's effects, of `effects` (default: those that are in), and the offsets."""
         names = (*self.full.base, *(self.active if effects is None else effects))
-        own = self.full.columns([p for n in names for p in self.full.parameters_of(n) if p in self.full.model.names])
+        at = self.full.columns([p for n in names for p in self.full.parameters_of(n) if p in self.full.model.names])
         begin = len(self.theta) + self.nuisance + len(self.scans)
         chosen = begin + np.arange(sum(c.basis.shape[2] for c in self.chosen))
-        return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets, chosen])
+        return np.concatenate([at[np.any(self.S[:, :, at] != 0.0, axis=(0, 1))], self.offsets, chosen])
 
     def wider(self, columns: Sequence[int] | np.ndarray) -> Columns:
         return np.concatenate([self.columns(), np.array(columns, int)])
@@ -601,20 +601,20 @@ class SelectionState:
         size = float(np.median(np.std(self.residual / self.noise_growth, axis=0)))
         return np.zeros(count), np.full(count, self.variance_inflation / (10 * size) ** 2)
 
-    def share_of(self, own: Columns) -> float:
+    def share_of(self, columns: Columns) -> float:
         """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""
-        return float(np.max(1.0 - self.fit(self.wider(own)).variance / self.best.variance))
+        return float(np.max(1.0 - self.fit(self.wider(columns)).variance / self.best.variance))
 
     def without(self, effects: Sequence[str]) -> SelectionState:
         """The state with some of its additions at neutral, to first order."""
         if not effects:
             return self
-        own = self.full.own_columns(*effects)
-        away, theta, mean = self.departure[own], self.theta.copy(), self.mean.copy()
-        theta[own], mean[own] = self.full.neutral_vector[own], mean[own] + away
-        residual = self.residual + self.S[:, :, own] @ away
+        columns = self.full.own_columns(*effects)
+        away, theta, mean = self.departure[columns], self.theta.copy(), self.mean.copy()
+        theta[columns], mean[columns] = self.full.neutral_vector[columns], mean[columns] + away
+        residual = self.residual + self.S[:, :, columns] @ away
         active = tuple(e for e in self.active if e not in effects)
-        products = self.products.shifted(own, -away)
+        products = self.products.shifted(columns, -away)
         return replace(self, theta=theta, mean=mean, residual=residual, products=products, active=active)
 
     @cached_property

@@ -142,21 +142,21 @@ def with_process_noise(
     still = -0.5 * of_noise - float(np.log(fit.flown.noise_growth[inside]).sum())
     pairs = zip(map(float, filtered.estimate), map(float, filtered.sd), strict=True)
     estimates = dict(zip(filtered.names, pairs, strict=True))
-    own = set(fit.flown.dynamics.names) - gusty.dynamics.disturbance_parameters
+    parameters = set(fit.flown.dynamics.names) - gusty.dynamics.disturbance_parameters
     converged, predicted = filtered.status is prediction_error.PredictionErrorStatus.CONVERGED, None
     if converged:
         errors = np.asarray(prediction_errors(gusty.nameless, jnp.asarray(filtered.estimate), filtered.found))
         predicted = prediction_error.one_step(filtered.found, errors, filtered.outputs)
-    theirs = [i for i, name in enumerate(filtered.names) if name in own]
+    theirs = [i for i, name in enumerate(filtered.names) if name in parameters]
     noise = result.ProcessNoise(
         status=filtered.status.value,
         converged=converged,
         gain=filtered.log_likelihood - still,
-        estimates={name: value for name, value in estimates.items() if name in own},
+        estimates={name: value for name, value in estimates.items() if name in parameters},
         F={n: float(x) for n, x in zip(filtered.states, filtered.F, strict=True) if n in fit.flown.dynamics.start},
         noise_sd=dict(zip(filtered.outputs, map(float, np.sqrt(filtered.R)), strict=True)),
         autocorrelation=dict(zip(filtered.outputs, map(float, neighbour_correlation(filtered.found)), strict=True)),
-        gusts={name: value for name, value in estimates.items() if name not in own},
+        gusts={name: value for name, value in estimates.items() if name not in parameters},
         histories=_histories(gusty, filtered),
         one_step=predicted,
         covariance=filtered.covariance[np.ix_(theirs, theirs)],
@@ -247,7 +247,7 @@ def left_out(
     jobs = [(c, k) for c in contenders for k in range(count)]
     stopped = Event()
 
-    def one(job: tuple[CandidateFit, int]) -> tuple[str, output_error.OutputErrorResult]:
+    def refit(job: tuple[CandidateFit, int]) -> tuple[str, output_error.OutputErrorResult]:
         contender, k = job
         fit, held = contender.fit, {**contender.held, **silent[contender.name][k]}
         weighed = noise.on(fit.flown, without=k) if contender.weighed else fit.flown
@@ -258,7 +258,7 @@ def left_out(
     # Two fits keep as many cores busy as one with twice the segments, so several are made at once.
     with ThreadPoolExecutor(max(1, cores() // max(1, count - 1))) as pool:
         try:
-            yield from pool.map(one, jobs)
+            yield from pool.map(refit, jobs)
         except BaseException:  # Ctrl-C does not wait for whole fits
             stopped.set()
             raise
@@ -690,9 +690,9 @@ def fit_disagreements(coefficients: MleResult, flown: result.TrajectoryFit) -> t
     return tuple(sorted(disagreements, key=lambda d: -d.apart))
 
 
-def _agree(one: tuple[float, float], other: tuple[float, float]) -> bool:
+def _agree(estimate: tuple[float, float], other: tuple[float, float]) -> bool:
     """Whether two estimates, each with its standard error, differ by no more than chance or `WORTH`."""
-    (x, sd), (y, its) = one, other
+    (x, sd), (y, its) = estimate, other
     return abs(x - y) <= max(CONFLICT_LIMIT * float(np.hypot(sd, its)), WORTH * max(abs(x), abs(y)))
 
 
@@ -733,8 +733,8 @@ def flown_modes(
     if filtered is not None:
         order, unknown = [list(filtered.estimates).index(name) for name in dynamics.names], []
         theta = np.array([filtered.estimates[name][0] for name in dynamics.names])
-        known = filtered.covariance
-        covariance = np.zeros((count, count)) if known is None else known[np.ix_(order, order)]
+        matrix = filtered.covariance
+        covariance = np.zeros((count, count)) if matrix is None else matrix[np.ix_(order, order)]
     about_trim = modes(dynamics, dynamics.values(theta), aircraft, steady)
     slopes, scale = np.zeros((len(about_trim), 2, count)), np.sqrt(np.diag(covariance))
     scale[unknown] = np.maximum(np.abs(theta[unknown]), 1e-2)  # only whether it matters
@@ -786,11 +786,11 @@ def motion_of(flown: result.TrajectoryFit, beside: result.ProcessNoise | None = 
     """Modes with standard errors; None without a model of the aircraft, and where the fit did not converge."""
     if flown.of_path or not flown.converged:
         return None
-    steady, found, why_not = steady_of(flown.fit.flown.flights), (), ""
+    steady, eigenmodes, why_not = steady_of(flown.fit.flown.flights), (), ""
     filtered = beside if beside is not None and beside.preferred else None
     try:
-        found = flown_modes(flown.fit, steady, filtered)
+        eigenmodes = flown_modes(flown.fit, steady, filtered)
     except InputError as reason:
         why_not = str(reason)
     about = (steady.airspeed, steady.altitude) if flown.by_effects else (math.nan, math.nan)  # of linear cards
-    return result.Motion(*about, found, why_not, filtered is not None)
+    return result.Motion(*about, eigenmodes, why_not, filtered is not None)

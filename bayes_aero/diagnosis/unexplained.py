@@ -58,15 +58,15 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
     unknown, changes, last = [], [], extension.steps[-1] if extension.steps else None
     bare = components[-1].state.without([name for name in replaced if name in components[-1].state.active])
     election = None if last is None or last.chosen is not None else last.screening
-    for found in components:
-        if isinstance(found, shapes.FoundChange):
-            change = shapes.reported_change(bare, found, chosen, election)
+    for addition in components:
+        if isinstance(addition, shapes.FoundChange):
+            change = shapes.reported_change(bare, addition, chosen, election)
             if not (change.between and set(change.ambiguous_with) & _constants(bare)):
                 changes.append(change)
         else:
-            of = found.component
-            unknown.append(UnexplainedStructure(of.coefficient, of.channel, found.share, found.p_value))
-    functions = tuple(found.component for found in components if not isinstance(found, shapes.FoundChange))
+            of = addition.component
+            unknown.append(UnexplainedStructure(of.coefficient, of.channel, addition.share, addition.p_value))
+    functions = tuple(addition.component for addition in components if not isinstance(addition, shapes.FoundChange))
     return Left(tuple(unknown), replaced, tuple(changes), functions)
 
 
@@ -106,7 +106,7 @@ def _constants(state: SelectionState) -> set[str]:
     outputs = [state.outputs.index(name) for name in state.apart]
     S = state.S[:, outputs][:, :, : len(state.theta)]
     constant = np.any((np.ptp(S, axis=0) <= 1e-6 * np.abs(S).max(axis=0)) & (np.abs(S).max(axis=0) > 0.0), axis=0)
-    return {name for name, own in zip(state.full.model.names, constant, strict=True) if own}
+    return {name for name, flat in zip(state.full.model.names, constant, strict=True) if flat}
 
 
 def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
@@ -157,9 +157,9 @@ def _changing_in(extension: Extension, seed: int) -> tuple[float, shapes.FoundCo
     bare = state.without(extension.causes)
     if not shapes.testable(bare):
         return None
-    parts, own = shapes.parts_of(state, state.settings.change_parts), state.full.own_columns(*extension.causes)
+    parts, columns = shapes.parts_of(state, state.settings.change_parts), state.full.own_columns(*extension.causes)
     divided = replace(bare, products=Products.of(bare.residual / bare.noise_growth, bare.scaled, parts), folds=parts)
-    of_causes = holdout_deviance_gain(divided, np.append(bare.columns(), own))
+    of_causes = holdout_deviance_gain(divided, np.append(bare.columns(), columns))
     change = shapes.sought_change(bare, (), seed=seed, least=max(of_causes, 0.0))
     margin = -math.inf if change is None else _margin(state, change.gained, of_causes)
     return (margin, change) if change is not None and margin > 0.0 else None
@@ -174,14 +174,14 @@ def _standing_in(extension: Extension) -> tuple[float, shapes.FoundComponent] | 
     # A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts
     # less than a function of its own channel where the parameters of the model beside it extrapolate.
     state, best = extension.state, None
-    own = state.full.own_columns(*state.active)
+    columns = state.full.own_columns(*state.active)
     parts = [(f, batch, least) for f, every, least in shapes.families(state) for batch in in_batches(state, every, f)]
     for folds, components, least in parts:
         trial = state.with_components(components, (), folds)
         bare, every = trial.columns(()), trial.component_columns
-        products = trial.products.shifted(own, -state.departure[own])
+        products = trial.products.shifted(columns, -state.departure[columns])
         taken_out = replace(trial, products=products, active=())
-        of_causes = holdout_deviance_gain(taken_out, np.concatenate([bare, own]), bare)
+        of_causes = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
         width, dummy = max(map(len, every)), trial.S.shape[2] - 1
         rows = [np.concatenate([bare, c, np.full(width - len(c), dummy)]) for c in every]
         deviance = products.fit_many(np.array(rows, int), trial.mean, trial.precision)[3]
@@ -243,8 +243,8 @@ def terms_of_coefficient(
         best, _, trial = leader(state, columns, [f.column for f in terms])
         if nats(best.gain, best.inflation) < settings.ambiguous or best.share < settings.unnamed_share:
             break
-        own = trial.component_columns[trial.components.index(best.column.component)]
-        wider = trial.fit(trial.wider(own))
+        at = trial.component_columns[trial.components.index(best.column.component)]
+        wider = trial.fit(trial.wider(at))
         colour = screening.autocorrelation_of(trial.left(wider), trial.folds)
         p = screening.chance_of(best.share, screening.null_shares(trial, colour, wider.variance, seed + number))
         if p > settings.unnamed_false_alarm_rate:
@@ -298,10 +298,10 @@ def leader(
     first = max(equal, key=lambda i: weights[i])
     others = sorted(((rest[order[i]].term, float(weights[i])) for i in equal if i != first), key=lambda x: -x[1])
     column, inflation = trial.component_columns[order[first]], float(along[0])
-    own = trial.wider(column)
-    explained = nats(fit.deviance - trial.fit(own).deviance, inflation)
+    wide = trial.wider(column)
+    explained = nats(fit.deviance - trial.fit(wide).deviance, inflation)
     term = SelectedTerm(
-        rest[order[first]], holdout_deviance_gain(trial, own), trial.share_of(column), inflation,
+        rest[order[first]], holdout_deviance_gain(trial, wide), trial.share_of(column), inflation,
         float(weights[first]), tuple(others), float("nan"), len(columns),
     )  # fmt: skip
     return term, explained, trial
@@ -317,8 +317,8 @@ def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[F
     whole = state.with_components((), components_of(terms))
     fit, errors = whole.best, screening.jackknife_errors(whole, state.responses.parts)
     deviation = np.maximum(np.sqrt(np.diag(screening.uncertainty(whole))), errors)
-    own, sizes = slice(len(fit.columns) - len(terms), None), []
-    for term, size, sd in zip(terms, fit.step[own], deviation[own], strict=True):
+    at, sizes = slice(len(fit.columns) - len(terms), None), []
+    for term, size, sd in zip(terms, fit.step[at], deviation[at], strict=True):
         column, coefficient = term.column, term.column.component.coefficient
         factor, gain = (float(size) / column.scale, float(sd) / column.scale), nats(term.gain, term.inflation)
         least = SWING[coefficient] / max(column.spread, 1e-12)
@@ -362,19 +362,19 @@ def _next(
 
 def _chance(trial: SelectionState, standing: screening.CandidateScore, among: int) -> float:
     """The chance that noise lets some of `among` terms look as good; 1 where it is too small or predicts nothing."""
-    settings, own = trial.settings, np.array(standing.columns, int)
+    settings, columns = trial.settings, np.array(standing.columns, int)
     alone = len(trial.responses.flights.lengths) == 1
     least = trial.least_share(settings.single_share if alone else settings.unnamed_share)
-    if trial.share_of(own) < least or standing.log_bayes <= 0.0:
+    if trial.share_of(columns) < least or standing.log_bayes <= 0.0:
         return 1.0
-    wide = trial.wider(own)
+    wide = trial.wider(columns)
     if nats(holdout_deviance_gain(trial, wide), standing.variance_inflation) < settings.ambiguous:
         return 1.0
     # No stationary colour holds in windows, with a term in or out; and innovations are white only as far as the noise
     # of the filter is right. So it is how far the estimate moves without each part of the flights, Bonferroni over the
     # library.
     wider = trial.fit(wide)
-    return screening.jackknife_p_value(trial, wider, own, wider.step[-1:], among)
+    return screening.jackknife_p_value(trial, wider, columns, wider.step[-1:], among)
 
 
 def _weighed(
@@ -433,7 +433,7 @@ class _Model:
     @cached_property
     def fitted(self) -> tuple[selection_state.RegressionFit, Float[np.ndarray, "m c"]]:
         """The fit of `wide` and what it leaves, from the columns that are in alone."""
-        state, bases, columns = self.state, [one.basis for one in self.components], self.state.columns()
+        state, bases, columns = self.state, [component.basis for component in self.components], self.state.columns()
         S = np.concatenate([state.S[:, :, columns], *bases], axis=2) / state.noise_growth[:, :, None]
         residual, flat = state.residual / state.noise_growth, state.flat_prior(S.shape[2] - len(columns))
         mean, precision = (np.append(x[columns], y) for x, y in zip((state.mean, state.precision), flat, strict=True))
@@ -443,11 +443,11 @@ class _Model:
     @cached_property
     def cost(self) -> float:
         """Nats of its parameters, and of the choices that they are."""
-        state, own = self.state, {e.name: e for e in self.state.full.candidates}
-        causes = sum(len(own[name].parameters) + np.log(len(own)) for name in state.active)
+        state, effects = self.state, {e.name: e for e in self.state.full.candidates}
+        causes = sum(len(effects[name].parameters) + np.log(len(effects)) for name in state.active)
         offsets = len(state.apart) * (len(state.responses.flights.lengths) - 1)
         functions = sum(f.basis.shape[2] + 1.0 for f in self.functions)
-        return float(causes + offsets + functions + sum(one.cost for one in self.terms))
+        return float(causes + offsets + functions + sum(term.cost for term in self.terms))
 
     def less(self, item: str | SelectedTerm) -> _Model:
         state = self.state
@@ -468,7 +468,7 @@ class _Model:
         return nats(fits[1].deviance - fits[0].deviance, float(inflation)) - self.cost + other.cost
 
     def degrades(self, other: _Model) -> bool:
-        before, after = (LeftOut.first_order(one.wide, one.state.active) for one in (other, self))
+        before, after = (LeftOut.first_order(model.wide, model.state.active) for model in (other, self))
         return self.state.settings.degrades(*after.gain(before))
 
     def curved(self, curves: Sequence[Component]) -> _Model:
@@ -513,7 +513,7 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
             by_coefficient.setdefault(function.coefficient, []).append(function)
 
     def sought(state: SelectionState) -> list[SelectedTerm]:
-        return [t for n, own in by_coefficient.items() for t in terms_of_coefficient(state, n, own, seed=seed)]
+        return [t for n, group in by_coefficient.items() for t in terms_of_coefficient(state, n, group, seed=seed)]
 
     bare = extension.state.without([name for name in left.replaced if name in extension.state.active])
     causes = [name for name in extension.causes if name not in left.replaced]
@@ -578,12 +578,12 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
         by_name = {
             name: [f for f in components_of(terms) if f.coefficient == c.coefficient] for name, c in named.items()
         }
-        alone = [name for name, own in by_name.items() if [f.label for f in own] in ([], [named[name].label])]
+        alone = [name for name, group in by_name.items() if [f.label for f in group] in ([], [named[name].label])]
         same = {named[name].label for name in alone}
         out = [*(name for name in named if name not in alone), *left.replaced]
-        more = tuple(one for one in terms if one.column.component.label not in same)
+        more = tuple(term for term in terms if term.column.component.label not in same)
         models += [_Model(_without(state, out, state.apart), more)] if more else []
-    curves = [one for coefficient in reached for one in shapes.polynomials(named_only, coefficient)]
+    curves = [curve for coefficient in reached for curve in shapes.polynomials(named_only, coefficient)]
     bare = [replace(model, state=_without(model.state, rest, ())) for model in models]
     wholes, items = [model.curved(curves).refitted() for model in bare], [*rest, *state.apart]
     tried = [model.eliminated(items, whole.functions) for model, whole in zip(models, wholes, strict=True)]
@@ -683,8 +683,8 @@ def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> di
     settings, rivals = best.state.settings, dict[str, tuple[str, float]]()
     for other in (*others, *(best.with_terms_for(name) for name in causes)):
         gone = [name for name in causes if name not in other.state.active]
-        had = {one.label for one in best.components}
-        labels = [one.label for one in other.components if one.label not in had]
+        had = {component.label for component in best.components}
+        labels = [component.label for component in other.components if component.label not in had]
         if not (gone and labels) or (lost := best.beyond(other)) >= settings.ambiguous or other.degrades(best):
             continue
         more = f" and {len(labels) - SHOWN} more" if len(labels) > SHOWN else ""
@@ -698,9 +698,9 @@ def _sizes_beside(model: _Model, causes: Sequence[str]) -> dict[str, Size]:
     fit, free = wide.best, wide.full.model.free
     sds = np.sqrt(np.diag(screening.uncertainty(wide)))
     step, sd = (dict(zip(fit.columns, x, strict=True)) for x in (fit.step, sds))
-    own = [int(column) for column in wide.full.own_columns(*causes) if column in step]
+    columns = [int(column) for column in wide.full.own_columns(*causes) if column in step]
     return {
         free[c].name: Size(float(np.clip(x, *free[c].bounds)), float(sd[c]), free[c].unit, not low < x < high)
-        for c in own
+        for c in columns
         for x, (low, high) in [(wide.theta[c] + step[c], free[c].bounds)]
     }

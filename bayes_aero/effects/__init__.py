@@ -18,12 +18,12 @@ from bayes_aero.errors import InputError
 
 
 def _discover() -> dict[str, Effect]:
-    found: dict[str, Effect] = {}
+    catalogue: dict[str, Effect] = {}
     for module in pkgutil.iter_modules(__path__, f"{__name__}."):
         for value in vars(importlib.import_module(module.name)).values():
-            if isinstance(value, Effect) and found.setdefault(value.name, value) is not value:
+            if isinstance(value, Effect) and catalogue.setdefault(value.name, value) is not value:
                 raise InputError(f"{module.name} has a second effect {value.name}; give it another name")
-    return dict(sorted(found.items()))
+    return dict(sorted(catalogue.items()))
 
 
 CATALOGUE: dict[str, Effect] = _discover()  # all built-in effects by name, in alphabetical order

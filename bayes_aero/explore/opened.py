@@ -60,44 +60,44 @@ class OpenedResult(FinishedResult):
     @property
     def limits(self) -> tuple[str, ...]:
         """Doubts about the records, and a sentence on each thing that the model or the fit has and the page has not."""
-        said = [*self.doubts, *([LIMITS] if self.linear is not None else [])]
+        sentences = [*self.doubts, *([LIMITS] if self.linear is not None else [])]
         if self.command == "fly" and self.filtered:
-            said.append(
+            sentences.append(
                 "The values are those of the fit with process noise. Its gusts and the noise of its states "
                 "are not flown here, as the result has no history of that noise: errors are those in still air."
             )
-        return tuple(said)
+        return tuple(sentences)
 
     def groups(self, added: tuple[str, ...] = ()) -> tuple[SliderGroup, ...]:
-        found = self.identified
-        if isinstance(found, IdentifiedLinear):
-            return linear_groups(found, self.errors)
-        return groups_of(found.model, found.values, self.errors, added)
+        identified = self.identified
+        if isinstance(identified, IdentifiedLinear):
+            return linear_groups(identified, self.errors)
+        return groups_of(identified.model, identified.values, self.errors, added)
 
     def addable(self, channels: Sequence[str]) -> tuple[Effect, ...]:
-        found = self.identified
-        return () if isinstance(found, IdentifiedLinear) else addable(found.model, channels)
+        identified = self.identified
+        return () if isinstance(identified, IdentifiedLinear) else addable(identified.model, channels)
 
 
 def open_result(given: str, card: str | None = None, folders: Sequence[Path] = ()) -> OpenedResult:
     """Read the result in a folder or file, its card and its records, which may lie in `folders`."""
     result = read_finished(given, card)
     records = result.records("give its folder with --records", folders=folders)
-    told, departures = result.told, {}
+    document, departures = result.told, {}
     with as_written(result.file):
         if result.command == "identify":
-            found = {name: p["crb_corrected"] for name, p in told["mle"]["parameters"].items()}
+            sds = {name: p["crb_corrected"] for name, p in document["mle"]["parameters"].items()}
         elif result.command == "fly":
-            found = {name: p["sd_corrected"] for name, p in told["parameters"].items()}
+            sds = {name: p["sd_corrected"] for name, p in document["parameters"].items()}
             if result.filtered:  # whose fit has no initial states
-                found |= {name: sd for name, (_, sd) in told["process_noise"]["estimates"].items()}
+                sds |= {name: sd for name, (_, sd) in document["process_noise"]["estimates"].items()}
             else:
-                for manoeuvre, states in told["initial_states"].items():
+                for manoeuvre, states in document["initial_states"].items():
                     departures[manoeuvre] = {name: float(state["departure"]) for name, state in states.items()}
         else:
-            found = {name: move["sd_after"] for name, move in told["base_parameters"].items()}
-            found |= {name: p["sd"] for cause in told["causes"] for name, p in cause["parameters"].items()}
-    errors = {name: float(x) for name, x in found.items() if x is not None and x > 0.0}
+            sds = {name: move["sd_after"] for name, move in document["base_parameters"].items()}
+            sds |= {name: p["sd"] for cause in document["causes"] for name, p in cause["parameters"].items()}
+    errors = {name: float(x) for name, x in sds.items() if x is not None and x > 0.0}
     checks = record_checks(records, result.card, 0, seek=False)
     return OpenedResult(**vars(result), flown=records, errors=errors, departures=departures, checks=checks)
 
@@ -121,14 +121,14 @@ def shown_effects(model: Model, added: Sequence[str] = ()) -> tuple[Effect, ...]
 
 def addable(model: Model, channels: Sequence[str]) -> tuple[Effect, ...]:
     """Effects of the catalogue that may be added: candidates on the model's axes whose channels were recorded."""
-    own = {e.name for e in model.acting}
+    acting = {e.name for e in model.acting}
     names = {p.name for p in model.parameters}
     have = {*channels, "alpha_dot", "X", "dt", "start", "elapsed", "first", "last"}
     return tuple(
         e
         for e in CATALOGUE.values()
         if e.candidate
-        and e.name not in own
+        and e.name not in acting
         and e.disturbance is None
         and e.acts_on(model.axes)
         and have.issuperset(e.channels)
@@ -145,18 +145,18 @@ def flown_model(model: Model, choice: Choice) -> Model:
     neutral = {p.name: p.neutral for e in wider.effects for p in e.parameters}
     gone = {e.name for e in wider.acting if e.stage is Stage.LAG and e.name in choice.off}
     kept = tuple(e for e in wider.acting if e.name not in gone and e.disturbance is None)
-    own = {p.name for e in kept for p in e.parameters}
-    held = {name: dict(wider.fixed).get(name, x) for name, x in neutral.items() if name not in own}
-    parameters = tuple(p for p in wider.parameters if p.name in own)
+    names = {p.name for e in kept for p in e.parameters}
+    held = {name: dict(wider.fixed).get(name, x) for name, x in neutral.items() if name not in names}
+    parameters = tuple(p for p in wider.parameters if p.name in names)
     return replace(wider, effects=kept, parameters=parameters, fixed=tuple(held.items()))
 
 
 def values_of(model: Model, values: Mapping[str, float], choice: Choice) -> dict[str, float]:
     """Of a `flown_model`, SI: chosen values, else the result's `values`, else where a fit begins; neutral where off."""
-    found = {p.name: values.get(p.name, p.start) for p in model.parameters}
-    found |= {p.name: p.start for e in model.effects if e.name in choice.added for p in e.parameters}
-    found |= {name: x for name, x in choice.values.items() if name in found}
-    return found | {p.name: p.neutral for e in model.effects if e.name in choice.off for p in e.parameters}
+    theta = {p.name: values.get(p.name, p.start) for p in model.parameters}
+    theta |= {p.name: p.start for e in model.effects if e.name in choice.added for p in e.parameters}
+    theta |= {name: x for name, x in choice.values.items() if name in theta}
+    return theta | {p.name: p.neutral for e in model.effects if e.name in choice.off for p in e.parameters}
 
 
 def with_added(model: Model, added: Sequence[str]) -> Model:
@@ -182,8 +182,8 @@ def chosen_model(opened: OpenedResult, choice: Choice, values: Mapping[str, floa
         if name not in off and x != before.get(name):
             changes.append(f"{name} = {x:.10g} ({f'was {before[name]:.10g}' if name in before else 'new'})")
     changed = ", ".join((*changes, *(f"{name} off" for name in sorted(choice.off))))
-    said = f"Changed by hand with open, SI and radians: {changed}. These values are no estimates."
-    sources = (*identified.sources, *((said,) if changed else ()))
+    origin = f"Changed by hand with open, SI and radians: {changed}. These values are no estimates."
+    sources = (*identified.sources, *((origin,) if changed else ()))
     return replace(identified, model=replace(model, fixed=tuple(fixed.items())), values=every, sources=sources)
 
 
@@ -191,10 +191,10 @@ def export_chosen(
     opened: OpenedResult, choice: Choice, values: Mapping[str, float], form: str
 ) -> tuple[Path, list[str]]:
     """Write the chosen model into a new folder below the result; that folder and its files. What is there stays."""
-    found, root = chosen_model(opened, choice, values), opened.folder / "exports"
-    names = (f"{found.name}_{form}{'' if k == 1 else f'_{k}'}" for k in count(1))
+    identified, root = chosen_model(opened, choice, values), opened.folder / "exports"
+    names = (f"{identified.name}_{form}{'' if k == 1 else f'_{k}'}" for k in count(1))
     target = next(root / name for name in names if not (root / name).exists() and not (root / name).is_symlink())
-    return target, write_export(found, form, target)["files"]
+    return target, write_export(identified, form, target)["files"]
 
 
 LIMITS = (
@@ -203,17 +203,17 @@ LIMITS = (
 )
 
 
-def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple[SliderGroup, ...]:
+def linear_groups(linear: IdentifiedLinear, errors: Mapping[str, float]) -> tuple[SliderGroup, ...]:
     """The parameters of each row, every parameter once, with the row that the card writes first; `errors` in SI."""
-    rows, free = found.rows, {p.name: p for p in found.fitted.free}
-    many = {name: found.fitted.names_of(name) for name in rows.by_manoeuvre}
+    rows, free = linear.rows, {p.name: p for p in linear.fitted.free}
+    many = {name: linear.fitted.names_of(name) for name in rows.by_manoeuvre}
     titles = [*(f"rate of {name}" for name in rows.states), *(f"output {name}" for name in rows.outputs), "delays"]
     parts = [*([term.parameter for term in row] for _, row in rows.rows), [name for _, name in rows.delays]]
     groups: list[SliderGroup] = []
     for title, part in zip(titles, parts, strict=True):
         names = dict.fromkeys(n for parameter in part for n in many.get(parameter, [parameter]) if n in free)
         chosen = [free.pop(n) for n in names]
-        sliders = tuple(slider(p, found.values[p.name], errors.get(p.name, 0.0), abs(p.start) or 1.0) for p in chosen)
+        sliders = tuple(slider(p, linear.values[p.name], errors.get(p.name, 0.0), abs(p.start) or 1.0) for p in chosen)
         if sliders:
             groups.append(SliderGroup(title, f"{title} of the linear system", False, sliders, switch=False))
     return tuple(groups)
@@ -252,11 +252,11 @@ def groups_of(
     """Every effect that can be switched off, with its sliders; values and standard `errors` in SI."""
     choice = Choice(added=tuple(added))
     flown = flown_model(model, choice)
-    begin, known = values_of(flown, values, choice), {p.name: p for p in flown.parameters}
+    begin, parameters = values_of(flown, values, choice), {p.name: p for p in flown.parameters}
     groups = []
     for e in shown_effects(model, added):
         sliders = []
-        for p in (known[p.name] for p in e.parameters):
+        for p in (parameters[p.name] for p in e.parameters):
             largest = e.sizes.get(p.name, (0.0, 0.0))[1]  # plausible departure from neutral
             if not math.isfinite(p.neutral) or largest <= 0.0:
                 largest = abs(p.start) or 1.0
@@ -309,8 +309,8 @@ class Simulator:
     def __init__(self, opened: OpenedResult) -> None:
         self.opened = opened
         self.card, _ = on_recorded_axes(opened.card, opened.flown, OF_AXIS, DERIVED)
-        found = opened.identified
-        required = found.rows.inputs if isinstance(found, IdentifiedLinear) else FLIGHT
+        identified = opened.identified
+        required = identified.rows.inputs if isinstance(identified, IdentifiedLinear) else FLIGHT
         self.flights, _ = despiked(join(opened.flown, self.card, required))
         self.manoeuvres = self.flights.names
         setting = opened.told.get("setting", {})
@@ -329,8 +329,8 @@ class Simulator:
         return self.flights.time[self.flights.manoeuvre == manoeuvre]
 
     def recorded(self, manoeuvre: int) -> dict[str, Float[np.ndarray, " n"]]:
-        own = self.flights.manoeuvre == manoeuvre
-        return {name: np.asarray(self.flights.channels[name])[own] for name in (*self.outputs, *self.inputs)}
+        samples = self.flights.manoeuvre == manoeuvre
+        return {name: np.asarray(self.flights.channels[name])[samples] for name in (*self.outputs, *self.inputs)}
 
     def result(self, manoeuvre: int) -> Flown:
         if manoeuvre not in self._results:
@@ -342,10 +342,10 @@ class Simulator:
         theta = jnp.asarray(list(values.values()))
         flown, residuals, departure = self._prepared(manoeuvre, choice, values)
         simulated, inside, formed, modelled, X = _fly(flown, residuals, theta, jnp.asarray(departure))
-        paths, found = _named(flown, residuals, simulated, modelled, X)
+        paths, coefficients = _named(flown, residuals, simulated, modelled, X)
         names = () if residuals is None else residuals.model.coefficients
         measured = {name: np.asarray(formed)[:, k] for k, name in enumerate(names)}
-        return Flown(values, paths, found, measured, np.asarray(inside))
+        return Flown(values, paths, coefficients, measured, np.asarray(inside))
 
     def fan(self, manoeuvre: int, count: int = DRAWS, seed: int = 0) -> tuple[str, dict[str, np.ndarray]]:
         """Outputs and coefficients (m, n) of draws of the result's parameters, and where the draws come from."""
@@ -357,51 +357,51 @@ class Simulator:
                 theta[:, list(values).index(name)] = draws.values[:, k]
         flown, residuals, departure = self._prepared(manoeuvre, Choice(), values)
         simulated, _, _, modelled, X = _fly_draws(flown, residuals, jnp.asarray(theta), jnp.asarray(departure))
-        paths, found = _named(flown, residuals, simulated, modelled, X)
-        return draws.origin, paths | found
+        paths, coefficients = _named(flown, residuals, simulated, modelled, X)
+        return draws.origin, paths | coefficients
 
     def _structure(self, choice: Choice) -> FlownModel:
         key = choice.added, choice.off
         if key not in self._structures:
             opened = self.opened
-            asked = opened.told.get("fitted_outputs", ()) if opened.command == "fly" else ()
+            outputs = opened.told.get("fitted_outputs", ()) if opened.command == "fly" else ()
             if isinstance(opened.identified, IdentifiedLinear):  # has nothing to choose
                 model, plain = None, opened.identified.dynamics(self.flights)
             else:
                 model = flown_model(opened.identified.model, choice)
-                plain = aircraft_dynamics(model, self.flights, asked)
+                plain = aircraft_dynamics(model, self.flights, outputs)
             dynamics = biased_dynamics(plain, self.flights, self.biases)
             steps = dynamics.substeps_at({p.name: p.start for p in dynamics.free}, self.flights)
             self._structures[key] = FlownModel(model, dynamics, steps)
         return self._structures[key]
 
     def _values(self, choice: Choice) -> dict[str, float]:
-        opened, own = self.opened, self._structure(choice)
+        opened, flown = self.opened, self._structure(choice)
         values = opened.identified.values
-        found = {**values, **choice.values} if own.model is None else values_of(own.model, values, choice)
+        chosen = {**values, **choice.values} if flown.model is None else values_of(flown.model, values, choice)
         fitted = {name: p["estimate"] for name, p in opened.told.get("parameters", {}).items()}
-        every = {p.name: p.start for p in own.dynamics.free} | fitted | found
-        return {name: float(every[name]) for name in own.dynamics.names}
+        every = {p.name: p.start for p in flown.dynamics.free} | fitted | chosen
+        return {name: float(every[name]) for name in flown.dynamics.names}
 
     def _prepared(self, manoeuvre: int, choice: Choice, values: Mapping[str, float]) -> Ready:
         """Cut and stepped as by `fly`; finer where a lag is now shorter than where that fit begins."""
-        own = self._structure(choice)
-        steps = max(own.substeps, own.dynamics.substeps_at(values, self.flights))
-        key = manoeuvre, own.dynamics, steps
+        flown = self._structure(choice)
+        steps = max(flown.substeps, flown.dynamics.substeps_at(values, self.flights))
+        key = manoeuvre, flown.dynamics, steps
         if key not in self._ready:
             options = {"outputs": self.outputs, "substeps": steps, "fixed": self.fixed, "held": self.held}
-            whole = segments(self.flights, own.dynamics, **options)
+            whole = segments(self.flights, flown.dynamics, **options)
             away = self.opened.departures.get(self.manoeuvres[manoeuvre], {})
-            departure = np.array([[away.get(name, 0.0) for name in own.dynamics.start]])
+            departure = np.array([[away.get(name, 0.0) for name in flown.dynamics.start]])
             alone = whole.part([manoeuvre]).nameless
             n = int(alone.inside.sum())  # without the samples that give all segments one length
             cut = {name: getattr(alone, name)[:, :n] for name in ("index", "inside", "noise_growth")}
             residuals = None
-            if own.model is not None:
+            if flown.model is not None:
                 try:
                     record, _ = despiked(join([self.opened.flown[manoeuvre]], self.card))
                     flights = replace(record.nameless, channels=dict(record.channels))
-                    residuals = EquationError(flights, own.model, (), ())
+                    residuals = EquationError(flights, flown.model, (), ())
                 except InputError as reason:
                     self.no_coefficients = f"Coefficients are not shown: {reason}."
             self._ready[key] = replace(alone, **cut), residuals, departure
@@ -421,12 +421,12 @@ def _named(
 
 def _one(flown: SegmentTrajectories, residuals: EquationError | None, theta: Any, departure: Any) -> tuple:
     """Simulated outputs (n, c), whether inside, measured and modelled coefficients and X."""
-    found = simulate(flown, theta, departure)
-    paths = (found.measured - found.residual)[0], found.trajectory.inside[0]
+    simulation = simulate(flown, theta, departure)
+    paths = (simulation.measured - simulation.residual)[0], simulation.trajectory.inside[0]
     if residuals is None:
         return (*paths, None, None, None)
-    own = theta[: len(residuals.model.free)]  # biases of outputs are behind
-    _, details = residuals.traced(own)
+    parameters = theta[: len(residuals.model.free)]  # biases of outputs are behind
+    _, details = residuals.traced(parameters)
     return (*paths, details["measured"], details["modelled"], details["X"])
 
 

@@ -105,63 +105,63 @@ class ExplorePage:
         """Whatever is asked gets an answer: the browser waits for it before it asks again."""
         number = -1
         try:
-            asked = read_asked(new)
-            number = asked.id
-            self.answer(asked)
+            request = read_asked(new)
+            number = request.id
+            self.answer(request)
         except InputError as reason:
             self.exchange.update(told=json.dumps({"id": number, "error": f"{reason}."}))
         except Exception as reason:  # whatever it is, the page goes on with what it was asked before
-            told = failure("What was asked could not be done", reason)
-            self.exchange.update(told=json.dumps({"id": number, "error": told}))
+            sentence = failure("What was asked could not be done", reason)
+            self.exchange.update(told=json.dumps({"id": number, "error": sentence}))
 
-    def answer(self, asked: Asked) -> None:
+    def answer(self, request: Asked) -> None:
         began = clock.perf_counter()
-        choice = self._choice(asked)
-        before = self.simulator.result(asked.manoeuvre)
-        now = before if choice == Choice() else self.simulator.fly(asked.manoeuvre, choice)
-        time = self.simulator.time(asked.manoeuvre)
-        begin, end = asked.window or (-np.inf, np.inf)
+        choice = self._choice(request)
+        before = self.simulator.result(request.manoeuvre)
+        now = before if choice == Choice() else self.simulator.fly(request.manoeuvre, choice)
+        time = self.simulator.time(request.manoeuvre)
+        begin, end = request.window or (-np.inf, np.inf)
         window = (time >= begin) & (time <= end)
         window = window if window.sum() > 1 else np.ones(len(time), bool)
-        self._draw(asked, time, window, before, now)
-        said, exported, failed = "", "", ""
+        self._draw(request, time, window, before, now)
+        origin, exported, failed = "", "", ""
         try:
-            said = self._fanned(asked, time, window)
-            if asked.export:
-                folder, files = export_chosen(self.opened, choice, now.values, asked.export)
+            origin = self._fanned(request, time, window)
+            if request.export:
+                folder, files = export_chosen(self.opened, choice, now.values, request.export)
                 exported = f"Exported to {folder}: {', '.join(files)}."
         except InputError as reason:
             failed = f"{reason}."
         left = "" if now.inside.all() else f"The simulation leaves the envelope at {time[np.argmin(now.inside)]:.1f} s."
-        told = {
-            "id": asked.id,
+        reply = {
+            "id": request.id,
             "window": [float(time[0]), float(time[-1])],
             "groups": [asdict(group) for group in self.opened.groups(choice.added)],
-            "scores": self._scores(asked.manoeuvre, window, before, now),
-            "gain": self._gain(asked.manoeuvre, window, before, now),
+            "scores": self._scores(request.manoeuvre, window, before, now),
+            "gain": self._gain(request.manoeuvre, window, before, now),
             "note": " ".join(filter(None, (left, self.simulator.no_coefficients))),
-            "said": said,
+            "said": origin,
             "exported": exported,
             "fan": self.fanned is not None,
             "error": failed,
             "seconds": clock.perf_counter() - began,
         }
-        self.exchange.update(told=json.dumps(told))
+        self.exchange.update(told=json.dumps(reply))
 
-    def _choice(self, asked: Asked) -> Choice:
-        if asked.manoeuvre >= len(self.simulator.manoeuvres):
-            raise InputError(f"there is no manoeuvre {asked.manoeuvre + 1}; choose another one")
-        known = {e.name for e in self.opened.addable(tuple(self.simulator.flights.channels))}
-        added = tuple(name for name in dict.fromkeys(asked.added) if name in known)
+    def _choice(self, request: Asked) -> Choice:
+        if request.manoeuvre >= len(self.simulator.manoeuvres):
+            raise InputError(f"there is no manoeuvre {request.manoeuvre + 1}; choose another one")
+        addable = {e.name for e in self.opened.addable(tuple(self.simulator.flights.channels))}
+        added = tuple(name for name in dict.fromkeys(request.added) if name in addable)
         groups = self.opened.groups(added)
         factors = {s.name: s.factor for group in groups for s in group.sliders}
-        values = {name: x / factors[name] for name, x in asked.values.items() if name in factors}
-        return Choice(values, frozenset(asked.off) & {group.name for group in groups if group.switch}, added)
+        values = {name: x / factors[name] for name, x in request.values.items() if name in factors}
+        return Choice(values, frozenset(request.off) & {group.name for group in groups if group.switch}, added)
 
-    def _draw(self, asked: Asked, time: np.ndarray, window: np.ndarray, before: Flown, now: Flown) -> None:
+    def _draw(self, request: Asked, time: np.ndarray, window: np.ndarray, before: Flown, now: Flown) -> None:
         """What is flown now always; record and result where manoeuvre or window have changed."""
-        at, recorded = time[window], self.simulator.recorded(asked.manoeuvre)
-        place = asked.manoeuvre, asked.window
+        at, recorded = time[window], self.simulator.recorded(request.manoeuvre)
+        place = request.manoeuvre, request.window
         if place != self.drawn:
             for view in (*self.outputs, *self.inputs):
                 view.draw_record(at, recorded[view.name][window])
@@ -172,7 +172,7 @@ class ExplorePage:
                 truth = recorded[view.name] if view in self.outputs else before.formed.get(view.name, old)
                 view.before.update(data=view.line(at, old[window]))
                 view.fit([truth[window], old[window]])
-            begin, end = asked.window or (float(time[0]), float(time[-1]))
+            begin, end = request.window or (float(time[0]), float(time[-1]))
             self.shared.time.update(start=begin, end=end)
         flown = {**now.simulated, **now.coefficients}
         views = (*self.outputs, *self.coefficients)
@@ -183,17 +183,17 @@ class ExplorePage:
                 view.draw_record(at, formed[window])
         self.drawn, self.formed = place, now.formed
 
-    def _fanned(self, asked: Asked, time: np.ndarray, window: np.ndarray) -> str:
+    def _fanned(self, request: Asked, time: np.ndarray, window: np.ndarray) -> str:
         """Draw the fan, or remove it, where it has changed; where its draws come from."""
         views = [*self.outputs, *self.coefficients]
-        place = (asked.manoeuvre, asked.window) if asked.fan else None
-        if place is not None and asked.manoeuvre not in self._fans:
-            self._fans[asked.manoeuvre] = self.simulator.fan(asked.manoeuvre)
+        place = (request.manoeuvre, request.window) if request.fan else None
+        if place is not None and request.manoeuvre not in self._fans:
+            self._fans[request.manoeuvre] = self.simulator.fan(request.manoeuvre)
         for view in views if place != self.fanned else ():
-            draws = np.zeros((0, len(time))) if place is None else self._fans[asked.manoeuvre][1][view.name]
+            draws = np.zeros((0, len(time))) if place is None else self._fans[request.manoeuvre][1][view.name]
             view.draw_fan(time[window], draws[:, window])
         self.fanned = place
-        return "" if place is None else f"{DRAWS} draws: {self._fans[asked.manoeuvre][0]}."
+        return "" if place is None else f"{DRAWS} draws: {self._fans[request.manoeuvre][0]}."
 
     def _scores(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> list[dict[str, Any]]:
         paths = scores(self.simulator.recorded(manoeuvre), before.simulated, now.simulated, window, self.tolerances)
@@ -209,14 +209,14 @@ class ExplorePage:
 
     def _gain(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> dict[str, Any]:
         """Change of the log likelihood of the trajectories; residuals as the fit left them, where it was one."""
-        told, recorded = self.opened.told, self.simulator.recorded(manoeuvre)
-        fitted = told.get("residual_sd", {}) if self.opened.departures else {}
+        stored, recorded = self.opened.told, self.simulator.recorded(manoeuvre)
+        fitted = stored.get("residual_sd", {}) if self.opened.departures else {}
         errors = []
         for n in (n for n in (fitted or self.simulator.outputs) if n in before.simulated and n != "altitude"):
             old, new = (recorded[n] - flown.simulated[n] for flown in (before, now))
             if (sd := fitted.get(n) or float(np.std(old))) > 0.0:
                 errors.append((old[window] / sd, new[window] / sd))
-        inflation = told.get("variance_inflation") or told.get("trajectories", {}).get("variance_inflation") or 1.0
+        inflation = stored.get("variance_inflation") or stored.get("trajectories", {}).get("variance_inflation") or 1.0
         return {"nats": gain(errors, inflation), "inflation": inflation}
 
 

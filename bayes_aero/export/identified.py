@@ -158,15 +158,15 @@ def translated(function: Callable[[Mapping[str, Any]], Mapping[str, Any]], input
 
 
 def _inside(jaxpr: Any, constants: Any, given: tuple[Operand, ...], builder: Builder) -> list[Operand]:
-    known: dict[Any, Operand] = dict(zip(jaxpr.invars, given, strict=True))
-    known |= {name: _number(x) for name, x in zip(jaxpr.constvars, constants, strict=True)}
+    operands: dict[Any, Operand] = dict(zip(jaxpr.invars, given, strict=True))
+    operands |= {name: _number(x) for name, x in zip(jaxpr.constvars, constants, strict=True)}
 
     def read(x: Any) -> Operand:
-        return _number(x.val) if hasattr(x, "val") else known[x]
+        return _number(x.val) if hasattr(x, "val") else operands[x]
 
     for equation in jaxpr.eqns:
         arguments = tuple(read(x) for x in equation.invars)
-        known |= zip(equation.outvars, _applied(equation, arguments, builder), strict=True)
+        operands |= zip(equation.outvars, _applied(equation, arguments, builder), strict=True)
     return [read(x) for x in jaxpr.outvars]
 
 
@@ -264,14 +264,14 @@ class Identified:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        said = []
+        sentences = []
         for e in (e for e in self.model.acting if not _is_of_aircraft(e)):
             size = ", ".join(
                 f"{p.name} = {self.values[p.name]:.4g} {p.unit}" for p in e.parameters if p.name in self.values
             )
             what = "the record, not the aircraft" if e.stage is Stage.CHANNEL else "a random process of the air"
-            said.append(f"{e.name} ({size}) is not exported: it is {what}. {e.claim}")
-        return tuple(said)
+            sentences.append(f"{e.name} ({size}) is not exported: it is {what}. {e.claim}")
+        return tuple(sentences)
 
     @cached_property
     def actual_aircraft(self) -> Aircraft:
@@ -295,8 +295,8 @@ class Identified:
 
     @cached_property
     def signals(self) -> tuple[str, ...]:
-        asked = (c for e in self.exported.acting for c in e.channels)
-        return tuple(dict.fromkeys(("alpha", *(("airspeed",) if self.lagged else ()), *asked)))
+        channels = (c for e in self.exported.acting for c in e.channels)
+        return tuple(dict.fromkeys(("alpha", *(("airspeed",) if self.lagged else ()), *channels)))
 
     @cached_property
     def program(self) -> Program:
@@ -306,13 +306,13 @@ class Identified:
 
     @property
     def inputs(self) -> dict[str, float]:
-        found = {f"parameter.{name}": float(x) for name, x in self.values.items()}
+        values = {f"parameter.{name}": float(x) for name, x in self.values.items()}
 
         def keep(name: str, x: Any) -> float:
-            return found.setdefault(f"aircraft.{name}", float(x))
+            return values.setdefault(f"aircraft.{name}", float(x))
 
         _constants(self.aircraft, keep)
-        return found
+        return values
 
     def traced(self, function: Callable[..., Mapping[str, Any]], states: Sequence[str]) -> Program:
         """A function of values, signals, aircraft and states, each by name, as a program."""
@@ -364,9 +364,9 @@ class Identified:
         self, values: Mapping[str, Any], signals: Mapping[str, Any], aircraft: Aircraft, states: Mapping[str, Any]
     ) -> dict[str, Any]:
         static = self.exported.static_points(values, signals, aircraft) if self.separates else ()
-        found = self.coefficients(values, signals, aircraft, [*states.values()] or static)
-        found |= {f"{n}_static" if states else n: x for n, x in zip(self.points, static, strict=True)}
-        return found | self.lag(values, signals, aircraft)
+        outputs = self.coefficients(values, signals, aircraft, [*states.values()] or static)
+        outputs |= {f"{n}_static" if states else n: x for n, x in zip(self.points, static, strict=True)}
+        return outputs | self.lag(values, signals, aircraft)
 
 
 def _is_of_aircraft(effect: Effect) -> bool:
@@ -414,15 +414,15 @@ CONVENTIONS = (
 )
 
 
-def lengths(found: Identified) -> tuple[str, ...]:
-    a = found.actual_aircraft
+def lengths(identified: Identified) -> tuple[str, ...]:
+    a = identified.actual_aircraft
     rate, lateral = a.rate_length or a.chord, a.lateral_rate_length or a.half_span
     speed = "V" if a.reference_speed is None else f"{a.reference_speed:.6g} m/s"
     texts = [
         f"wing area {a.wing_area:.6g} m^2; Cm refers to the chord, {a.chord:.6g} m; q enters as q l/{speed} with "
         f"l = {rate:.6g} m (many texts: q c/2V)"
     ]
-    if set(found.exported.coefficients) & set(LATERAL):
+    if set(identified.exported.coefficients) & set(LATERAL):
         texts.append(
             f"Cl and Cn refer to {a.moment_length:.6g} m; p and r enter as p l/{speed} with l = {lateral:.6g} m "
             f"(half the span is {a.half_span:.6g} m)"
@@ -432,46 +432,46 @@ def lengths(found: Identified) -> tuple[str, ...]:
     return tuple(f"{text[0].upper()}{text[1:]}." for text in texts)
 
 
-def validity(found: Identified) -> tuple[str, ...]:
-    flown = [n for n in found.signals if n in found.flown]
+def validity(identified: Identified) -> tuple[str, ...]:
+    flown = [n for n in identified.signals if n in identified.flown]
     if not flown:
         return ("The flown region is not stated: the values are a card's, or of an earlier version's result.",)
-    parts = (f"{n} {found.flown[n][0]:.4g} to {found.flown[n][1]:.4g} {unit(n)}".rstrip(" 1") for n in flown)
+    parts = (f"{n} {identified.flown[n][0]:.4g} to {identified.flown[n][1]:.4g} {unit(n)}".rstrip(" 1") for n in flown)
     return (f"Flown region; outside it the model extrapolates: {', '.join(parts)}.",)
 
 
-def states(found: Identified) -> tuple[str, ...]:
-    said = []
-    if found.lagged:
-        points = ", ".join(found.points)
-        said.append(f"State {points}: the separation point (1 attached), lag dX/dt = X_static - X, first X_static.")
-    elif found.separates:
-        said.append(f"{', '.join(found.points)}: the separation point (1 attached, 0 separated), without lag.")
+def states(identified: Identified) -> tuple[str, ...]:
+    texts = []
+    if identified.lagged:
+        points = ", ".join(identified.points)
+        texts.append(f"State {points}: the separation point (1 attached), lag dX/dt = X_static - X, first X_static.")
+    elif identified.separates:
+        texts.append(f"{', '.join(identified.points)}: the separation point (1 attached, 0 separated), without lag.")
     before = (Stage.INCIDENCE, Stage.SEPARATION)
-    reading = [e for e in found.exported.acting if "alpha_dot" in e.channels]
-    if any(e.stage not in before or not found.lagged for e in reading):
-        said.append(
+    reading = [e for e in identified.exported.acting if "alpha_dot" in e.channels]
+    if any(e.stage not in before or not identified.lagged for e in reading):
+        texts.append(
             "The coefficients and alpha_dot depend on each other: a simulator solves for it, or lags alpha_dot."
         )
-    return tuple(said)
+    return tuple(texts)
 
 
-def about(found: Identified) -> tuple[str, ...]:
-    floors = [f"{n} below {LEAST[n]:g} {unit(n)}" for n in found.program.inputs_of("signal") if n in LEAST]
+def about(identified: Identified) -> tuple[str, ...]:
+    floors = [f"{n} below {LEAST[n]:g} {unit(n)}" for n in identified.program.inputs_of("signal") if n in LEAST]
     finite = (f"Coefficients are finite at rest: {' and '.join(floors)} counts as that value.",) if floors else ()
-    drawn, uncertain = found.draws, ()
+    drawn, uncertain = identified.draws, ()
     if drawn is not None:
         uncertain = (f"{len(drawn.values)} draws of {len(drawn.names)} parameters: {drawn.origin}.",)
     sentences = (
-        f"{found.title}. Exported by bayes_aero {__version__}.",
-        *found.sources,
+        f"{identified.title}. Exported by bayes_aero {__version__}.",
+        *identified.sources,
         *CONVENTIONS,
-        *lengths(found),
-        *states(found),
-        *validity(found),
+        *lengths(identified),
+        *states(identified),
+        *validity(identified),
         *finite,
         *uncertain,
-        *found.left_out,
+        *identified.left_out,
     )
     return tuple(map(plain_line, sentences))
 

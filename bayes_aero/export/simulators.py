@@ -92,10 +92,10 @@ def functions(
 ) -> list[Node]:
     """The program as functions in their order: steps that are read more than once, then the outputs. `inputs`: how each
     input is read; `outputs`: their properties by name; `steps`: branch of the properties of steps."""
-    known, uses, found = dict(inputs), program.uses, []
+    nodes, uses, elements = dict(inputs), program.uses, []
 
     def node(x: Operand) -> Node:
-        return deepcopy(known[x]) if isinstance(x, str) else value(x)
+        return deepcopy(nodes[x]) if isinstance(x, str) else value(x)
 
     for step in program.steps:
         arguments = [node(x) for x in step.arguments]
@@ -103,12 +103,12 @@ def functions(
         content = composed(*arguments)
         if uses[step.name] > 1:
             name = f"{PREFIX}/{steps}/{step.name}"
-            found.append(function(name, content))
+            elements.append(function(name, content))
             content = read(name)
-        known[step.name] = content
+        nodes[step.name] = content
     for name, x in program.outputs.items():
-        found.append(function(outputs[name], node(x)))
-    return found
+        elements.append(function(outputs[name], node(x)))
+    return elements
 
 
 FOOT = 0.3048  # m
@@ -139,48 +139,48 @@ NAME = r"[A-Za-z_][A-Za-z0-9_.-]*"
 THRUST = f"{PREFIX}/input/thrust-N"
 
 
-def aerodynamics_xml(found: Identified) -> str:
+def aerodynamics_xml(identified: Identified) -> str:
     root = Element("aerodynamics")
-    root.append(Comment("\n" + "\n".join(re.sub("-{2,}", "-", line) for line in about(found)) + "\n"))
-    program = found.program.giving({name: x for name, x in found.program.outputs.items() if name != "lag"})
+    root.append(Comment("\n" + "\n".join(re.sub("-{2,}", "-", line) for line in about(identified)) + "\n"))
+    program = identified.program.giving({name: x for name, x in identified.program.outputs.items() if name != "lag"})
     signals = program.inputs_of("signal")
     root.extend(function(f"{PREFIX}/state/{n}", _rest(read(_separated(n)))) for n in program.inputs_of("state"))
     for name in (n for n in signals if PROPERTIES.get(n, ("", 1.0))[1] != 1.0):
-        own, factor = PROPERTIES[name]
-        root.append(function(_signal(name), call("product", own, factor)))
-    root.extend(functions(program, _inputs(found, program), {name: _output(name) for name in program.outputs}))
+        property_name, factor = PROPERTIES[name]
+        root.append(function(_signal(name), call("product", property_name, factor)))
+    root.extend(functions(program, _inputs(identified, program), {name: _output(name) for name in program.outputs}))
     if "alpha_dot" in signals:
-        slope = found.lift_slope
-        root.extend(functions(slope, _inputs(found, slope), {"slope": SLOPE}, "slope"))
-    for axis, content in _forces(found).items():
+        slope = identified.lift_slope
+        root.extend(functions(slope, _inputs(identified, slope), {"slope": SLOPE}, "slope"))
+    for axis, content in _forces(identified).items():
         root.append(element("axis", function(f"{PREFIX}/total/{axis}", content), name=axis))
     return _text(root)
 
 
-def system_xml(found: Identified) -> str:
+def system_xml(identified: Identified) -> str:
     """The system with parameters, inputs that JSBSim does not have, and the states, for the folder Systems."""
-    program, channel = found.program, element("channel", name="states")
+    program, channel = identified.program, element("channel", name="states")
     if "alpha_dot" in program.inputs_of("signal"):
-        channel.extend(_alpha_dot(found))
-    if found.lagged:
-        [lag] = functions(program.giving({"lag": program.outputs["lag"]}), _inputs(found, program), {"lag": "lag"})
+        channel.extend(_alpha_dot(identified))
+    if identified.lagged:
+        [lag] = functions(program.giving({"lag": program.outputs["lag"]}), _inputs(identified, program), {"lag": "lag"})
         decay = call("exp", call("quotient", call("product", -1.0, "simulation/dt"), *list(lag)))
         channel.append(component(f"{PREFIX}/state/decay", decay))
-        for point in found.points:
+        for point in identified.points:
             name, static = _separated(point), _rest(read(_output(f"{point}_static")))
             left = call("product", read(f"{PREFIX}/state/decay"), call("difference", read(name), static))
             channel.append(component(name, _first(static, call("sum", static, left))))
-    start = {f"{PREFIX}/parameter/{name}": repr(found.values[name]) for name in program.inputs_of("parameter")}
+    start = {f"{PREFIX}/parameter/{name}": repr(identified.values[name]) for name in program.inputs_of("parameter")}
     inputs = (THRUST, *(_signal(n) for n in program.inputs_of("signal") if n not in PROPERTIES))
     start |= dict.fromkeys(inputs, "0.0")
     properties = (element("property", name, value=x) for name, x in start.items())
-    return _text(element("system", *properties, channel, name=f"{found.name}-states"))
+    return _text(element("system", *properties, channel, name=f"{identified.name}-states"))
 
 
-def aircraft_xml(found: Identified) -> str:
+def aircraft_xml(identified: Identified) -> str:
     """A body with the card's mass, inertia and thrust line; without a lateral model it is symmetric."""
-    a = found.actual_aircraft
-    if Axis.LATERAL not in found.model.axes:
+    a = identified.actual_aircraft
+    if Axis.LATERAL not in identified.model.axes:
         point, engine = ((x, 0.0, z) for x, _, z in (a.reference_point, a.engine))
         a = replace(a, reference_point=point, engine=engine, Ixy=0.0, Iyz=0.0)
     origin, incline = (0.0, 0.0, 0.0), a.engine_inclination
@@ -198,26 +198,26 @@ def aircraft_xml(found: Identified) -> str:
     direction = element("direction", *_coordinates((math.cos(incline), 0.0, -math.sin(incline))))
     thrust = element("function", call("quotient", THRUST, POUND))
     parts = [
-        element("fileheader", element("author", "bayes_aero"), element("description", found.title)),
+        element("fileheader", element("author", "bayes_aero"), element("description", identified.title)),
         element("metrics", *metrics),
         element("mass_balance", *balance, negated_crossproduct_inertia="false"),
         element("ground_reactions"),
         element(
             "external_reactions", element("force", thrust, _location(a.engine), direction, name="thrust", frame="BODY")
         ),
-        element("system", file=f"{found.name}-states"),
-        element("aerodynamics", file=f"{found.name}-aerodynamics.xml"),
+        element("system", file=f"{identified.name}-states"),
+        element("aerodynamics", file=f"{identified.name}-aerodynamics.xml"),
     ]
-    return _text(element("fdm_config", *parts, name=found.name, version="2.0", release="ALPHA"))
+    return _text(element("fdm_config", *parts, name=identified.name, version="2.0", release="ALPHA"))
 
 
-def _inputs(found: Identified, program: Program) -> dict[str, Node]:
+def _inputs(identified: Identified, program: Program) -> dict[str, Node]:
     inputs = {f"parameter.{n}": read(f"{PREFIX}/parameter/{n}") for n in program.inputs_of("parameter")}
-    inputs |= {f"aircraft.{n}": value(found.inputs[f"aircraft.{n}"]) for n in program.inputs_of("aircraft")}
+    inputs |= {f"aircraft.{n}": value(identified.inputs[f"aircraft.{n}"]) for n in program.inputs_of("aircraft")}
     inputs |= {f"state.{n}": read(f"{PREFIX}/state/{n}") for n in program.inputs_of("state")}
     for name in program.inputs_of("signal"):
-        own, factor = PROPERTIES.get(name, (_signal(name), 1.0))
-        inputs[f"signal.{name}"] = read(own if factor == 1.0 else _signal(name))
+        property_name, factor = PROPERTIES.get(name, (_signal(name), 1.0))
+        inputs[f"signal.{name}"] = read(property_name if factor == 1.0 else _signal(name))
     return inputs
 
 
@@ -232,9 +232,9 @@ def _output(name: str) -> str:
     return f"{PREFIX}/{'coefficient' if name in (*NAMES, *LATERAL) else 'separation'}/{name}"
 
 
-def _forces(found: Identified) -> dict[str, Node]:
+def _forces(identified: Identified) -> dict[str, Node]:
     """Forces (lbf) and moments (lbf ft, about the reference point) by axis of the body."""
-    a, has = found.actual_aircraft, set(found.exported.coefficients)
+    a, has = identified.actual_aircraft, set(identified.exported.coefficients)
     area = a.wing_area / FOOT**2
     lift, drag, Cm, CY, Cl, Cn = (read(_output(name)) for name in (*NAMES, *LATERAL))
     sin, cos = (call(f, "aero/alpha-rad") for f in ("sin", "cos"))
@@ -251,12 +251,12 @@ def _forces(found: Identified) -> dict[str, Node]:
     return {n: call("product", "aero/qbar-psf", size, x) for n, (of, x, size) in axes.items() if of in has}
 
 
-def _alpha_dot(found: Identified) -> list[Node]:
+def _alpha_dot(identified: Identified) -> list[Node]:
     """Alpha-dot by a Newton step a frame, carried on to the present frame by its last change."""
     used = PROPERTIES["alpha_dot"][0]
     now, before, solved = (f"{used}-{part}" for part in ("now", "before", "solved"))
     # 1 + qbar S/(m V) dCL/d(alpha-dot): alpha-dot depends on itself through the lift; a Newton step divides by it
-    area = found.actual_aircraft.wing_area / FOOT**2
+    area = identified.actual_aircraft.wing_area / FOOT**2
     inertia = call("max", call("product", "inertia/mass-slugs", "velocities/vt-fps"), 1.0)
     gain = call("quotient", call("product", "aero/qbar-psf", area, SLOPE), inertia)
     slope = call("max", LEAST_SLOPE, call("sum", 1.0, gain))
@@ -304,15 +304,15 @@ def _text(root: Node) -> str:
     return '<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n"
 
 
-def jsbsim_files(found: Identified) -> Mapping[str, str]:
-    for name in (*found.program.inputs_of("signal"), *found.program.inputs_of("parameter")):
+def jsbsim_files(identified: Identified) -> Mapping[str, str]:
+    for name in (*identified.program.inputs_of("signal"), *identified.program.inputs_of("parameter")):
         if not re.fullmatch(NAME, name):
             raise InputError(f"{name} cannot be a property of JSBSim; give it another name")
-    folder = f"aircraft/{found.name}"
+    folder = f"aircraft/{identified.name}"
     return {
-        f"{folder}/{found.name}.xml": aircraft_xml(found),
-        f"{folder}/{found.name}-aerodynamics.xml": aerodynamics_xml(found),
-        f"{folder}/Systems/{found.name}-states.xml": system_xml(found),
+        f"{folder}/{identified.name}.xml": aircraft_xml(identified),
+        f"{folder}/{identified.name}-aerodynamics.xml": aerodynamics_xml(identified),
+        f"{folder}/Systems/{identified.name}-states.xml": system_xml(identified),
     }
 
 
@@ -428,15 +428,15 @@ class {name}(Fmi2Slave):
 START = {"airspeed": 100.0, "density": 1.225}  # inputs that no flow has at zero
 
 
-def write_fmu(found: Identified, folder: Path) -> Path:
+def write_fmu(identified: Identified, folder: Path) -> Path:
     """Build the FMU in `folder`. A step holds the inputs and solves the lag of the separation point exactly."""
     if find_spec("pythonfmu") is None:
         raise InputError('an FMU needs the package pythonfmu; install it with: pip install "bayes-aero[export]"')
-    name = re.sub(r"\W", "_", f"{found.name}_aerodynamics")
+    name = re.sub(r"\W", "_", f"{identified.name}_aerodynamics")
     name = name if name.isidentifier() else f"_{name}"
     with tempfile.TemporaryDirectory() as there:
         slave = Path(there) / f"{name}_slave.py"
-        slave.write_text(slave_source(found, name), encoding="utf-8")
+        slave.write_text(slave_source(identified, name), encoding="utf-8")
         words = [sys.executable, "-m", "pythonfmu", "build", "-f", str(slave), "-d", there]
         # a process of its own: pythonfmu imports the slave by its name, and keeps that module
         done = subprocess.run(words, capture_output=True, text=True, timeout=MOST_SECONDS, check=False)
@@ -447,24 +447,24 @@ def write_fmu(found: Identified, folder: Path) -> Path:
         return write_whole(made.read_bytes(), folder / made.name)
 
 
-def slave_source(found: Identified, name: str) -> str:
-    program, read = found.program, found.program.inputs_of("parameter")
+def slave_source(identified: Identified, name: str) -> str:
+    program, read = identified.program, identified.program.inputs_of("parameter")
     signals, points = program.inputs_of("signal"), program.inputs_of("state")
     for channel in signals:
         if not channel.isidentifier():
             raise InputError(f"channel {channel} cannot be a variable of an FMU; give it another name on the card")
     outputs = {n: "separation point" for n in program.outputs if n != "lag"}
     outputs |= {n: f"{text} without lag" for n, text in outputs.items() if n.endswith("_static")}
-    outputs |= dict.fromkeys(found.exported.coefficients, "coefficient")
+    outputs |= dict.fromkeys(identified.exported.coefficients, "coefficient")
     return SLAVE.format(
         name=name,
         inputs={n: f"{meaning(n)}, {unit(n) or 'SI'}" for n in signals},
         points=points,
         outputs=outputs,
-        parameters={p.name: found.values[p.name] for p in found.exported.parameters if p.name in read},
-        constants={f"aircraft.{n}": found.inputs[f"aircraft.{n}"] for n in program.inputs_of("aircraft")},
+        parameters={p.name: identified.values[p.name] for p in identified.exported.parameters if p.name in read},
+        constants={f"aircraft.{n}": identified.inputs[f"aircraft.{n}"] for n in program.inputs_of("aircraft")},
         steps=[(step.name, step.operation, step.arguments) for step in program.steps],
         results=dict(program.outputs),
         start={n: x for n, x in START.items() if n in signals},
-        description=" ".join(about(found)),
+        description=" ".join(about(identified)),
     )

@@ -52,44 +52,44 @@ class Gridded:
         return np.broadcast_to(np.asarray(total, dtype=float), [len(x) for x in axes.values()]).copy()
 
 
-def tables_of(found: Identified) -> Iterator[Gridded]:
+def tables_of(identified: Identified) -> Iterator[Gridded]:
     """Tables whose sums are the coefficients and the incidence; the static separation point and its lag."""
-    program = program_by_incidence(found)
+    program = program_by_incidence(identified)
     incidences: dict[str, list[Gridded]] = {}
     for output in sorted(program.outputs, key=lambda name: not name.startswith(INCIDENCE)):
-        summed = output in found.exported.coefficients or output.startswith(INCIDENCE)
+        summed = output in identified.exported.coefficients or output.startswith(INCIDENCE)
         parts = tuple(terms(program, output)) if summed else ((1.0, program.outputs[output]),)
         groups: dict[tuple[str, ...], list[tuple[float, Operand]]] = {}
         for sign, operand in parts:
             part = program.giving({"": operand})  # what it depends on decides on its table
             groups.setdefault((*part.inputs_of("signal"), *part.inputs_of("state")), []).append((sign, operand))
-        for inputs, own in groups.items():
-            axes = {axis: np.array(_range(found, axis, incidences)) for axis in inputs}
-            part = program.giving({str(i): operand for i, (_, operand) in enumerate(own)})
-            signs = tuple(sign for sign, _ in own)
+        for inputs, summands in groups.items():
+            axes = {axis: np.array(_range(identified, axis, incidences)) for axis in inputs}
+            part = program.giving({str(i): operand for i, (_, operand) in enumerate(summands)})
+            signs = tuple(sign for sign, _ in summands)
             coarse = Gridded("_".join([output, *axes]), output, signs, part, axes, np.zeros(()))
-            table = _refined(coarse, found.inputs)
+            table = _refined(coarse, identified.inputs)
             if output.startswith(INCIDENCE):
                 incidences.setdefault(output, []).append(table)
             yield table
 
 
-def program_by_incidence(found: Identified) -> Program:
+def program_by_incidence(identified: Identified) -> Program:
     """Coefficients at given separation points, the incidence of each point, and the static point at an incidence."""
-    probe = _only(found.exported, Stage.SEPARATION, lambda _v, _s, _a, known: {"X": known[INCIDENCE] - 1.0})
-    given = _only(found.exported, Stage.INCIDENCE, lambda _v, s, *_: {INCIDENCE: s[INCIDENCE] - s["alpha"]})
-    names = {point: point.replace("X", INCIDENCE) for point in found.points}
+    probe = _only(identified.exported, Stage.SEPARATION, lambda _v, _s, _a, flow: {"X": flow[INCIDENCE] - 1.0})
+    given = _only(identified.exported, Stage.INCIDENCE, lambda _v, s, *_: {INCIDENCE: s[INCIDENCE] - s["alpha"]})
+    names = {point: point.replace("X", INCIDENCE) for point in identified.points}
 
     def outputs(values: Any, signals: Any, aircraft: Any, states: Any) -> dict[str, Any]:
-        total = found.coefficients(values, signals, aircraft, [states[n] for n in found.points])
-        if not found.separates:
+        total = identified.coefficients(values, signals, aircraft, [states[n] for n in identified.points])
+        if not identified.separates:
             return total
         total |= dict(zip(names.values(), probe.static_points(values, signals, aircraft), strict=True))
         there = dict(signals) | {INCIDENCE: states[INCIDENCE]}
         total["X_static"] = given.static_points(values, there, aircraft)[0]
-        return total | found.lag(values, signals, aircraft)
+        return total | identified.lag(values, signals, aircraft)
 
-    return found.traced(outputs, (*found.points, INCIDENCE) if found.separates else ())
+    return identified.traced(outputs, (*identified.points, INCIDENCE) if identified.separates else ())
 
 
 def _only(model: Model, stage: Stage, increments: Any) -> Model:
@@ -101,10 +101,10 @@ def _only(model: Model, stage: Stage, increments: Any) -> Model:
     return replace(model, effects=(*others, effect))
 
 
-def write_tables(found: Identified, folder: Path) -> tuple[str, ...]:
-    made = list(tables_of(found))
-    root = xr.Dataset(attrs={"about": "\n".join(about(found)), "sum": "a coefficient is the sum of its tables"})
-    tree = xr.DataTree.from_dict({"/": root, **{table.name: _dataset(found, table) for table in made}})
+def write_tables(identified: Identified, folder: Path) -> tuple[str, ...]:
+    made = list(tables_of(identified))
+    root = xr.Dataset(attrs={"about": "\n".join(about(identified)), "sum": "a coefficient is the sum of its tables"})
+    tree = xr.DataTree.from_dict({"/": root, **{table.name: _dataset(identified, table) for table in made}})
     write_whole(tree.to_netcdf(engine="h5netcdf"), folder / "tables.nc")
     for table in made:
         grid = np.meshgrid(*table.axes.values(), indexing="ij") if table.axes else []
@@ -133,21 +133,21 @@ def _refined(table: Gridded, inputs: Mapping[str, Any]) -> Gridded:
             raise InputError(f"the table of {table.output} has over {MOST_CELLS} points; export --to fmu or jsbsim")
 
 
-def _range(found: Identified, axis: str, incidences: Mapping[str, Sequence[Gridded]]) -> tuple[float, float]:
+def _range(identified: Identified, axis: str, incidences: Mapping[str, Sequence[Gridded]]) -> tuple[float, float]:
     """What an axis spans: all incidences of any separation point, or what was flown."""
     if axis == INCIDENCE:
         reach = [np.sum([(t.values.min(), t.values.max()) for t in tables], axis=0) for tables in incidences.values()]
         return float(min(low for low, _ in reach)), float(max(high for _, high in reach))
-    if axis in found.points:
+    if axis in identified.points:
         return (0.0, 1.0)
-    if axis not in found.flown:
-        raise InputError(f"{found.name}: the flown range of {axis} is not known; export a result of this version")
-    low, high = found.flown[axis]
+    if axis not in identified.flown:
+        raise InputError(f"{identified.name}: the flown range of {axis} is not known; export a result of this version")
+    low, high = identified.flown[axis]
     return (low, high) if high > low else (low - 1e-6, high + 1e-6)
 
 
-def _dataset(found: Identified, table: Gridded) -> xr.Dataset:
-    dims, unit_of, drawn = tuple(table.axes), _unit_of(table.output), found.draws
+def _dataset(identified: Identified, table: Gridded) -> xr.Dataset:
+    dims, unit_of, drawn = tuple(table.axes), _unit_of(table.output), identified.draws
     about_table = {"units": unit_of, "output": table.output, "interpolation_error": table.error}
     coords = {n: (n, x, {"units": _unit_of(n), "long_name": meaning(n)}) for n, x in table.axes.items()}
     data: dict[str, Any] = {"value": (dims, table.values, about_table)}
@@ -155,7 +155,7 @@ def _dataset(found: Identified, table: Gridded) -> xr.Dataset:
         if table.values.size * len(drawn.values) > MOST_WITH_DRAWS:
             raise InputError(f"table {table.name} with {len(drawn.values)} draws is too large; give fewer --draws")
         names = [f"parameter.{n}" for n in drawn.names]
-        each = [table.at(table.axes, found.inputs | dict(zip(names, row, strict=True))) for row in drawn.values]
+        each = [table.at(table.axes, identified.inputs | dict(zip(names, row, strict=True))) for row in drawn.values]
         data["draws"] = (("draw", *dims), np.stack(each), {"units": unit_of, "origin": drawn.origin})
     return xr.Dataset(data, coords=coords)
 

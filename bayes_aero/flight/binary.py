@@ -138,7 +138,7 @@ def open_log(suffix: str, data: bytes) -> OpenedFile:
         if len(used) > 1:
             ticks = {group: _ticks(reply["groups"][group]["name"], stamps[group], log.tick) for group in used}
             union = np.unique(np.concatenate(list(ticks.values())))
-            time, rows = union / round(1.0 / log.tick), {k: np.searchsorted(union, own) for k, own in ticks.items()}
+            time, rows = union / round(1.0 / log.tick), {k: np.searchsorted(union, times) for k, times in ticks.items()}
         columns = {name: FileColumn(time, "s") for name in wanted if name not in chosen}
         for name, (group, recorded) in chosen.items():
             values = np.full(len(time), np.nan)

@@ -105,12 +105,12 @@ def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return value
 
 
-def _known_keys(table: Mapping[str, Any], known: Collection[str], what: str) -> None:
-    """Refuse a key that is not `known`; `what` says what kind of key it is."""
+def _known_keys(table: Mapping[str, Any], keys: Collection[str], what: str) -> None:
+    """Refuse a key that is not among `keys`; `what` says what kind of key it is."""
     for key in table:
-        if key not in known:
-            close = get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+        if key not in keys:
+            close = get_close_matches(key, keys, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(keys)}"
             raise InputError(f"unknown {what} {key[:60]!r}; {hint}")
 
 
@@ -123,11 +123,11 @@ def _entry(given: Any, keys: Sequence[str], needs: int, here: str, example: str 
     return given
 
 
-def _all_mapped(names: Iterable[str], known: Collection[str], what: str) -> None:
+def _all_mapped(names: Iterable[str], channels: Collection[str], what: str) -> None:
     """Refuse names that are no channels of the card, with a hint at the nearest; `what` begins the sentence."""
     for name in names:
-        if name not in known:
-            close = get_close_matches(name, list(known), n=1)
+        if name not in channels:
+            close = get_close_matches(name, list(channels), n=1)
             hint = f"; is {close[0]!r} there meant?" if close else ""
             raise InputError(f"{what} {name}, which [channels] does not map{hint}")
 
@@ -507,8 +507,8 @@ def _parse_linear(table: Mapping[str, Any], channels: Collection[str]) -> Linear
         _refuse(beyond, f'[linear.outputs.{name}] is a state, an output already; it may only have a bias, by = "1"')
     _known_keys(delays, (*card.states, *card.outputs), "output of [linear.delays]")
     for output, parameter in delays.items():
-        own = isinstance(parameter, str) and parameter not in multiplied
-        _refuse(not own, f"[linear.delays] {output} must be the name of a parameter of no row")
+        unused = isinstance(parameter, str) and parameter not in multiplied
+        _refuse(not unused, f"[linear.delays] {output} must be the name of a parameter of no row")
     for name in card.by_manoeuvre:
         constant = multiplied.get(name) == {ONE}
         _refuse(not constant, f'[linear] by_manoeuvre has {name}, which is no constant: no parameter of "1" alone')

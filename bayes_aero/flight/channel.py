@@ -261,11 +261,11 @@ def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]
             if len(parts) <= count or parts[-1] in _NO_UNIT_OF_A_NAME:
                 continue
             last = parts[-count:]
-            found = _spelled("/".join(last), si)  # "deg", "s2" is deg/s^2, "in", "hg" is inHg
-            if found is None and count == 2 and last[1] in ("hg", "c", "f", "k"):
-                found = _spelled(" ".join(last), si)
-            if found is not None:
-                parts, unit = parts[:-count], found
+            spelling = _spelled("/".join(last), si)  # "deg", "s2" is deg/s^2, "in", "hg" is inHg
+            if spelling is None and count == 2 and last[1] in ("hg", "c", "f", "k"):
+                spelling = _spelled(" ".join(last), si)
+            if spelling is not None:
+                parts, unit = parts[:-count], spelling
                 break
     key = re.sub(r"[^a-z0-9]", "", "".join(parts))
     return key, unit or _IN_NAME.get(key)

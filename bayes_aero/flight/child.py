@@ -179,8 +179,8 @@ def mdf4(data):
     mdf: Any
     with MDF(io.BytesIO(data)) as mdf:
         # A name for each group: what the file calls it, where that is a name and no other group has it.
-        said = [group.channel_group.acq_name or group.channel_group.comment or "" for group in mdf.groups]
-        named = [text if 0 < len(text) <= 60 and "<" not in text and "\n" not in text else "" for text in said]
+        texts = [group.channel_group.acq_name or group.channel_group.comment or "" for group in mdf.groups]
+        named = [text if 0 < len(text) <= 60 and "<" not in text and "\n" not in text else "" for text in texts]
         labels = [t if t and named.count(t) == 1 else f"group {k}" for k, t in enumerate(named, 1)]
         listed = {k: _signals(group, remarks) for k, group in enumerate(mdf.groups)}
         counts = Counter(name for signals in listed.values() for _, name in signals)

@@ -77,20 +77,20 @@ Guesses = dict[str, Guess]
 
 def guessed(columns: Sequence[RawColumn]) -> tuple[Guesses, list[RawColumn]]:
     """Channels by name, and the columns that remain unknown."""
-    found: Guesses = {}
+    guesses: Guesses = {}
     unknown = []
     for loose in (False, True):  # exact names first, so that a resemblance never takes a place
         for column in columns:
-            if any(guess.column is column for guess in found.values()):
+            if any(guess.column is column for guess in guesses.values()):
                 continue
             guess = _named(column, loose)
-            if guess is not None and guess.channel not in found:
-                found[guess.channel] = guess
+            if guess is not None and guess.channel not in guesses:
+                guesses[guess.channel] = guess
             elif loose:
                 unknown.append(column)
     for take in STEPS:
-        take(found)
-    return found, unknown
+        take(guesses)
+    return guesses, unknown
 
 
 def _named(column: RawColumn, loose: bool) -> Guess | None:
@@ -141,12 +141,12 @@ def step(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """A step that is taken where all of these were found; "dt" is the interval, s, of a time that is of use."""
 
     def of(do: Callable[..., None]) -> Callable[..., None]:
-        def take(found: Guesses) -> None:
-            time = found.get("time")
+        def take(guesses: Guesses) -> None:
+            time = guesses.get("time")
             dt = None if time is None else float(np.median(np.diff(time.si)))
-            given = [(dt if dt and dt > 0.0 else None) if name == "dt" else found.get(name) for name in names]
+            given = [(dt if dt and dt > 0.0 else None) if name == "dt" else guesses.get(name) for name in names]
             if None not in given:
-                do(found, *given)
+                do(guesses, *given)
 
         STEPS.append(take)
         return do
@@ -154,8 +154,8 @@ def step(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     return of
 
 
-def state(found: Guesses, guess: Guess, why: str, **changes: Any) -> None:
-    found[guess.channel] = replace(guess, evidence=f"{guess.evidence}; {why}", **changes)
+def state(guesses: Guesses, guess: Guess, why: str, **changes: Any) -> None:
+    guesses[guess.channel] = replace(guess, evidence=f"{guess.evidence}; {why}", **changes)
 
 
 def largest(guess: Guess) -> float:
@@ -175,36 +175,36 @@ def slope_of(x: np.ndarray, y: np.ndarray, least: float = FOLLOWS) -> float:
     return float(x @ y) / float(x @ x)
 
 
-def choose(found: Guesses, guess: Guess, ratio: float, sizes: Mapping[str, float], what: str, **changes: Any) -> None:
+def choose(guesses: Guesses, guess: Guess, ratio: float, sizes: Mapping[str, float], what: str, **changes: Any) -> None:
     """The unit, of these SI `sizes`, in which values are as `what` says; `ratio`: of the values to that, in SI."""
     if abs(ratio) > 1e-6:
         unit = guess.unit or min(sizes, key=lambda unit: abs(math.log(abs(ratio) * sizes[unit])))
         size = sizes.get(unit, 1.0)
-        state(found, guess, f"it is {ratio * size:.2g} times what {what} in {unit}", unit=unit, **changes)
+        state(guesses, guess, f"it is {ratio * size:.2g} times what {what} in {unit}", unit=unit, **changes)
 
 
 @step("time")
-def unit_of_time(found: Guesses, time: Guess) -> None:
+def unit_of_time(guesses: Guesses, time: Guess) -> None:
     if time.unit is None:
         dt = float(np.median(np.diff(time.values)))
-        state(found, time, f"its median step is {dt:.6g}", unit="ms" if dt > 2.0 else "s")
+        state(guesses, time, f"its median step is {dt:.6g}", unit="ms" if dt > 2.0 else "s")
 
 
 @step("dt", "p", "phi")
 @step("dt", "q", "theta")
-def angle_by_rate(found: Guesses, dt: float, rate: Guess, angle: Guess) -> None:
+def angle_by_rate(guesses: Guesses, dt: float, rate: Guess, angle: Guess) -> None:
     """An attitude changes as its rate says, which tells their units apart; where neither is stated, if they differ."""
     slope = slope_of(smooth(rate.si), np.gradient(smooth(angle.values)) / dt) if angle.unit is None else 0.0
     if rate.unit is not None:
-        choose(found, angle, slope, ANGLES, f"{rate.channel} makes")
+        choose(guesses, angle, slope, ANGLES, f"{rate.channel} makes")
     elif slope and abs(math.log(abs(slope))) > math.log(BETWEEN):
-        choose(found, angle, slope, ANGLES, f"{rate.channel} makes")
+        choose(guesses, angle, slope, ANGLES, f"{rate.channel} makes")
         unit = "rad/s" if abs(slope) > BETWEEN else "deg/s"
-        state(found, rate, f"{angle.channel} changes at {abs(slope):.2g} times it", unit=unit)
+        state(guesses, rate, f"{angle.channel} changes at {abs(slope):.2g} times it", unit=unit)
 
 
 @step("dt", "theta", "alpha", "airspeed", "altitude")
-def angles_by_path(found: Guesses, dt: float, theta: Guess, alpha: Guess, speed: Guess, height: Guess) -> None:
+def angles_by_path(guesses: Guesses, dt: float, theta: Guess, alpha: Guess, speed: Guess, height: Guess) -> None:
     """Pitch attitude less angle of attack is the angle of the path, as climb and airspeed of stated units make it."""
     missing = [g for g in (theta, alpha) if g.unit is None]
     if not missing or speed.unit is None or height.unit is None:
@@ -215,14 +215,14 @@ def angles_by_path(found: Guesses, dt: float, theta: Guess, alpha: Guess, speed:
         recorded, meant = (theta.values, alpha.si + path) if theta.unit is None else (alpha.values, theta.si - path)
     slope = slope_of(smooth(meant), smooth(recorded))
     for guess in missing:
-        choose(found, guess, max(slope, 0.0), ANGLES, "the climb makes of theta - alpha")
+        choose(guesses, guess, max(slope, 0.0), ANGLES, "the climb makes of theta - alpha")
 
 
 @step()
-def angles_by_size(found: Guesses) -> None:
+def angles_by_size(guesses: Guesses) -> None:
     """Beyond 1.6 it can only be degrees, a heading or bank beyond a turn; smaller ones go with the rest of the file, of
     which a heading, from another instrument, tells only where others are large, too."""
-    angles = {name: g for name, g in found.items() if SI.get(name) == "rad"}
+    angles = {name: g for name, g in guesses.items() if SI.get(name) == "rad"}
     missing = {name: largest(g) for name, g in angles.items() if g.unit is None}
     large = [n for n, size in missing.items() if size > (TURN if n in TURNING else ANGLE)]
     others = max((size for n, size in missing.items() if n not in TURNING), default=0.0)
@@ -231,50 +231,50 @@ def angles_by_size(found: Guesses) -> None:
     for name, size in missing.items():
         beside = ", and other angles of the file are in degrees" if degrees else ", too little for degrees"
         why = f"it reaches {size:.3g}{'' if name in large else beside}"
-        state(found, angles[name], why, unit="deg" if degrees or name in large else "rad")
+        state(guesses, angles[name], why, unit="deg" if degrees or name in large else "rad")
 
 
 @step("dt", "p", "phi")
 @step("dt", "q", "theta")
-def rate_by_angle(found: Guesses, dt: float, rate: Guess, angle: Guess) -> None:
+def rate_by_angle(guesses: Guesses, dt: float, rate: Guess, angle: Guess) -> None:
     """Unit and sign of a rate from the attitude that it changes."""
     slope = slope_of(np.gradient(smooth(np.unwrap(angle.si))) / dt, smooth(rate.values))
-    choose(found, rate, slope, RATES, f"the change of {angle.channel} is", sign=1 if slope > 0.0 else -1)
+    choose(guesses, rate, slope, RATES, f"the change of {angle.channel} is", sign=1 if slope > 0.0 else -1)
 
 
 @step("dt", "r")
-def yaw_rate(found: Guesses, dt: float, guess: Guess) -> None:
+def yaw_rate(guesses: Guesses, dt: float, guess: Guess) -> None:
     """Unit of the yaw rate from the heading, r = psi' cos(theta) cos(phi) - theta' sin(phi), else from the bank of a
     turn, r = g sin(phi) cos(theta) / V: no unit of airspeed is as far from another as degrees are from radians."""
     zero = np.zeros(len(guess.values))
-    phi, theta = (found[name].si if name in found else zero for name in ("phi", "theta"))
+    phi, theta = (guesses[name].si if name in guesses else zero for name in ("phi", "theta"))
     ways = {}
-    if "psi" in found:
-        psi, pitching = np.gradient(smooth(np.unwrap(found["psi"].si))) / dt, np.gradient(smooth(theta)) / dt
+    if "psi" in guesses:
+        psi, pitching = np.gradient(smooth(np.unwrap(guesses["psi"].si))) / dt, np.gradient(smooth(theta)) / dt
         ways["heading"] = psi * np.cos(theta) * np.cos(phi) - pitching * np.sin(phi)
-    if "airspeed" in found and "phi" in found:
-        ways["bank"] = GRAVITY * np.sin(phi) * np.cos(theta) / np.maximum(found["airspeed"].values, 1.0)
+    if "airspeed" in guesses and "phi" in guesses:
+        ways["bank"] = GRAVITY * np.sin(phi) * np.cos(theta) / np.maximum(guesses["airspeed"].values, 1.0)
     for of, turning in ways.items():
-        if found["r"].unit is None:
-            choose(found, guess, slope_of(turning, smooth(guess.values)), RATES, f"the {of} makes")
+        if guesses["r"].unit is None:
+            choose(guesses, guess, slope_of(turning, smooth(guess.values)), RATES, f"the {of} makes")
 
 
 @step()
-def other_rates(found: Guesses) -> None:
+def other_rates(guesses: Guesses) -> None:
     """What no attitude tells goes with the other rates: one instrument gives all three, but perhaps the yaw rate."""
-    rates = [found[name] for name in ("p", "q", "r") if name in found]
+    rates = [guesses[name] for name in ("p", "q", "r") if name in guesses]
     stated = [guess for guess in rates if guess.unit is not None]
-    known = {guess.unit: guess.channel for guess in stated if guess.channel != "r" or len(stated) == 1}
+    units = {guess.unit: guess.channel for guess in stated if guess.channel != "r" or len(stated) == 1}
     reach = max((largest(guess) for guess in rates), default=0.0)
-    angles = [g.unit for name, g in found.items() if SI.get(name) == "rad"]
+    angles = [g.unit for name, g in guesses.items() if SI.get(name) == "rad"]
     for guess in (guess for guess in rates if guess.unit is None):
-        if len(known) == 1 and (largest(guess) <= FASTEST or "deg/s" in known):
-            unit, beside = next(iter(known.items()))
-            state(found, guess, f"as {beside}", unit=unit)
+        if len(units) == 1 and (largest(guess) <= FASTEST or "deg/s" in units):
+            unit, beside = next(iter(units.items()))
+            state(guesses, guess, f"as {beside}", unit=unit)
         else:
-            size = largest(guess) if known else reach  # what differs from the others is judged by itself
-            degrees = size > ANGLE or (not known and angles.count("deg") > len(angles) / 2)
-            state(found, guess, f"the rates reach {reach:.3g}", unit="deg/s" if degrees else "rad/s")
+            size = largest(guess) if units else reach  # what differs from the others is judged by itself
+            degrees = size > ANGLE or (not units and angles.count("deg") > len(angles) / 2)
+            state(guesses, guess, f"the rates reach {reach:.3g}", unit="deg/s" if degrees else "rad/s")
 
 
 @step("dt", "p_dot", "p")
@@ -282,32 +282,32 @@ def other_rates(found: Guesses) -> None:
 @step("dt", "r_dot", "r")
 @step("dt", "alpha_dot", "alpha")
 @step("dt", "beta_dot", "beta")
-def unit_of_derivative(found: Guesses, dt: float, guess: Guess, of: Guess) -> None:
+def unit_of_derivative(guesses: Guesses, dt: float, guess: Guess, of: Guess) -> None:
     """An angular acceleration, or the rate of an angle, from what it changes."""
     slope = slope_of(np.gradient(smooth(of.si)) / dt, smooth(guess.values), 0.0)
     if guess.unit is None and slope > 0.0:
         unit = SI[guess.channel]
-        choose(found, guess, slope, {unit: 1.0, unit.replace("rad", "deg"): DEGREE}, f"the change of {of.channel} is")
+        choose(guesses, guess, slope, {unit: 1.0, unit.replace("rad", "deg"): DEGREE}, f"the change of {of.channel} is")
 
 
 @step("az")
-def vertical_acceleration(found: Guesses, az: Guess) -> None:
+def vertical_acceleration(guesses: Guesses, az: Guess) -> None:
     """Level flight shows gravity: 1, 9.8 or 32 tells the unit, its sign the direction."""
     level = float(np.median(az.values)) / -GRAVITY
     sizes = {"g": GRAVITY, "m/s^2": 1.0, "ft/s^2": 0.3048}
-    choose(found, az, level, sizes, "level flight has", sign=-1 if level < 0.0 else 1)
+    choose(guesses, az, level, sizes, "level flight has", sign=-1 if level < 0.0 else 1)
 
 
 @step()
-def other_accelerations(found: Guesses) -> None:
-    unit = found["az"].unit if "az" in found else None
-    for guess in (found[name] for name in ("ax", "ay") if name in found):
+def other_accelerations(guesses: Guesses) -> None:
+    unit = guesses["az"].unit if "az" in guesses else None
+    for guess in (guesses[name] for name in ("ax", "ay") if name in guesses):
         if guess.unit is None:
-            state(found, guess, "as az" if unit else "no az to compare it with", unit=unit or "m/s^2")
+            state(guesses, guess, "as az" if unit else "no az to compare it with", unit=unit or "m/s^2")
 
 
 @step("dt", "airspeed", "altitude", "theta", "alpha")
-def speed_and_height(found: Guesses, dt: float, speed: Guess, height: Guess, theta: Guess, alpha: Guess) -> None:
+def speed_and_height(guesses: Guesses, dt: float, speed: Guess, height: Guess, theta: Guess, alpha: Guess) -> None:
     """Height changes by airspeed times the sine of the path angle, which tells the two units together. Of pairs that
     are alike there, the airspeed at which the path turns decides, where it can be told; else the usual one is taken."""
     path, climb = theta.si - alpha.si, np.gradient(smooth(height.values)) / dt
@@ -318,9 +318,9 @@ def speed_and_height(found: Guesses, dt: float, speed: Guess, height: Guess, the
         return
     # Where the path turns, az + g cos(theta) = V (d alpha/dt - q), for small angles and level wings.
     turning, middle = 0.0, float(np.median(speed.values))
-    if "az" in found and "q" in found and middle > 0.0:
-        turn = np.gradient(smooth(alpha.si)) / dt - smooth(found["q"].si)
-        turning = slope_of(turn, smooth(found["az"].si) + GRAVITY * np.cos(smooth(theta.si)), CLEAR)
+    if "az" in guesses and "q" in guesses and middle > 0.0:
+        turn = np.gradient(smooth(alpha.si)) / dt - smooth(guesses["q"].si)
+        turning = slope_of(turn, smooth(guesses["az"].si) + GRAVITY * np.cos(smooth(theta.si)), CLEAR)
 
     def misfit(pair: tuple[str, str]) -> float:
         v, h = SPEEDS[pair[0]], HEIGHTS[pair[1]]
@@ -330,44 +330,44 @@ def speed_and_height(found: Guesses, dt: float, speed: Guess, height: Guess, the
     ratio = slope * HEIGHTS[h] / SPEEDS[v]
     why = f"height changes at {ratio:.2g} times airspeed x sin(theta - alpha) in {v} and {h}"
     why += "" if turning <= 0.0 else f", and az and q say {turning / SPEEDS[v]:.2g} {v}"
-    state(found, speed, why, unit=v)
-    state(found, height, why, unit=h)
+    state(guesses, speed, why, unit=v)
+    state(guesses, height, why, unit=h)
 
 
 @step()
-def other_speeds(found: Guesses) -> None:
+def other_speeds(guesses: Guesses) -> None:
     for name, unit, other in (("airspeed", "m/s", "kt"), ("calibrated_airspeed", "m/s", "kt"), ("altitude", "m", "ft")):
-        if name in found and found[name].unit is None:
-            state(found, found[name], f"nothing in the file tells {unit} from {other}", unit=unit)
+        if name in guesses and guesses[name].unit is None:
+            state(guesses, guesses[name], f"nothing in the file tells {unit} from {other}", unit=unit)
 
 
 @step("density")
-def density_of_air(found: Guesses, guess: Guess) -> None:
+def density_of_air(guesses: Guesses, guess: Guess) -> None:
     """Unit in which it is that of a standard atmosphere at the altitude, else that of some air."""
-    height = found.get("altitude")
+    height = guesses.get("altitude")
     rho = MIDDLING if height is None else float(np.median(standard_air(height.si)[0]))
     units = ["kg/m^3", "slug/ft^3", "lb/ft^3", "g/m^3", *(["g/cm^3"] if height is not None else [])]
     sizes = {u: float(to_si(1.0, u, "density", "kg/m^3")) for u in units}  # two of them are a factor 2 apart
     ratio = float(np.median(guess.values)) / max(rho, 1e-3)
     if guess.unit is None and ratio > 0.0:
-        choose(found, guess, ratio, sizes, "air has")
+        choose(guesses, guess, ratio, sizes, "air has")
 
 
 @step("dynamic_pressure", "airspeed")
-def dynamic_pressure(found: Guesses, guess: Guess, speed: Guess) -> None:
+def dynamic_pressure(guesses: Guesses, guess: Guess, speed: Guess) -> None:
     """Unit in which it makes air of the recorded density, or else of some density, at the airspeed."""
-    density = found.get("density")
+    density = guesses.get("density")
     rho = float(np.median(density.si)) if density and density.unit else MIDDLING
     ratio = float(np.median(guess.values)) / (0.5 * rho * float(np.median(speed.si)) ** 2 or 1.0)
     if guess.unit is None and ratio > 0.0:
         sizes = {u: float(to_si(1.0, u, "dynamic_pressure", "Pa")) for u in ("Pa", "hPa", "kPa", "lbf/ft^2", "psi")}
-        choose(found, guess, ratio, sizes, "density and airspeed make")
+        choose(guesses, guess, ratio, sizes, "density and airspeed make")
 
 
 @step()
-def units_by_size(found: Guesses) -> None:
+def units_by_size(guesses: Guesses) -> None:
     """What is left, by the size of its values."""
-    for guess in [guess for guess in found.values() if guess.unit is None]:
+    for guess in [guess for guess in guesses.values() if guess.unit is None]:
         size, middle = largest(guess), float(np.median(guess.values))
         choices = {
             "static_temperature": ("K" if middle > 150.0 else "degC"),
@@ -379,15 +379,15 @@ def units_by_size(found: Guesses) -> None:
         }
         if not guess.channel.startswith("thrust"):
             unit = choices.get(guess.channel, SI.get(guess.channel, "1"))
-            state(found, guess, f"it reaches {size:.4g}", unit=unit)
+            state(guesses, guess, f"it reaches {size:.4g}", unit=unit)
         elif size > 300.0:
-            state(found, guess, f"it reaches {size:.4g}, and nothing in the file tells N from lbf")
+            state(guesses, guess, f"it reaches {size:.4g}, and nothing in the file tells N from lbf")
         else:
-            state(found, guess, f"it reaches {size:.4g}", unit="kN")
+            state(guesses, guess, f"it reaches {size:.4g}", unit="kN")
 
 
 @step("dt", "elevator", "q", "alpha")
-def sign_of_elevator(found: Guesses, dt: float, elevator: Guess, q: Guess, alpha: Guess) -> None:
+def sign_of_elevator(guesses: Guesses, dt: float, elevator: Guess, q: Guess, alpha: Guess) -> None:
     """Trailing edge down pitches the nose down: the sign that pitch acceleration shows, alpha and q accounted for."""
     rate = smooth(q.si)
     others = np.stack([smooth(alpha.si), rate, np.ones_like(rate)], axis=1)
@@ -396,4 +396,4 @@ def sign_of_elevator(found: Guesses, dt: float, elevator: Guess, q: Guess, alpha
     slope = slope_of(moved, turning, FAINT)  # 1/s^2 a rad
     if slope:
         why = f"pitch acceleration follows it with {slope:+.2g} 1/s^2 a rad; trailing edge down positive has a minus"
-        state(found, elevator, why, sign=-1 if slope > 0.0 else 1)
+        state(guesses, elevator, why, sign=-1 if slope > 0.0 else 1)

@@ -108,7 +108,7 @@ def manoeuvres(paths: Paths, channels: Channels, *, segments: Parts = None, spli
     """The manoeuvres that files stand for: what a card has stated of a file of that name (`segments`), else its parts
     between gaps, if it is to `split` them. A path with a part stands for that alone."""
     clock = [replace(channel, required=True) if channel.name == "time" else channel for channel in channels]
-    found: list[Path] = []
+    files: list[Path] = []
     for path in [os.fspath(path) for path in paths]:
         segment, named = segment_of(path), ()
         if segment.whole:
@@ -120,10 +120,10 @@ def manoeuvres(paths: Paths, channels: Channels, *, segments: Parts = None, spli
                 forward = bool((np.diff(time) > 0.0).all())
                 long = [(k, a, b) for k, (a, b) in enumerate(parts, 1) if b - a >= SHORTEST]
                 names = (f"{time[a]:.15g}:{time[b - 1]:.15g}" if forward else f"#{k}" for k, a, b in long)
-                found += [Path(f"{path}@{name}") for name in names]
+                files += [Path(f"{path}@{name}") for name in names]
                 continue
-        found += [Path(f"{path}@{part}") for part in named] or [Path(path)]
-    return found
+        files += [Path(f"{path}@{part}") for part in named] or [Path(path)]
+    return files
 
 
 def present(path: Path) -> None:
@@ -611,12 +611,12 @@ def resample_record(record: FlightRecord, dt: float) -> FlightRecord:
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"record {record.name}: cannot resample to an interval of {dt!r} s; give a positive number")
     knots = {name: _sampled_at(name, values) for name, values in record.channels.items()}
-    steps = [_bridged(record.name, n, record.time[own]) for n, own in knots.items() if len(own) < record.n]
+    steps = [_bridged(record.name, n, record.time[index]) for n, index in knots.items() if len(index) < record.n]
     if len(steps) < len(knots) or not knots:  # time belongs to the channels that have all samples
         steps.append(_bridged(record.name, "time", record.time))
     median = min(steps)
-    begin = float(max((record.time[own[0]] for own in knots.values()), default=record.time[0]))
-    ends = [record.time[own[-1]] for name, own in knots.items() if np.isnan(record[name]).any()]
+    begin = float(max((record.time[index[0]] for index in knots.values()), default=record.time[0]))
+    ends = [record.time[index[-1]] for name, index in knots.items() if np.isnan(record[name]).any()]
     end = float(min([*ends, record.time[-1]]))
     # A coarse grid is reached through a fine one about as dense as the record: interpolate, filter, thin out.
     factor = max(1, math.ceil(dt / median - 1e-6)) if dt > 1.001 * median else 1
@@ -629,10 +629,10 @@ def resample_record(record: FlightRecord, dt: float) -> FlightRecord:
     elapsed = np.arange(math.floor(duration / fine * (1.0 + 1e-12) + 1e-9) + 1) * fine
     time = np.minimum(begin + elapsed, end)
     groups: dict[tuple[str, str], list[str]] = {}
-    for name, own in knots.items():
-        if len(own) < record.n:
+    for name, index in knots.items():
+        if len(index) < record.n:
             how = "missing samples" if np.isnan(record[name]).any() else "held samples"
-            rate = f"{1.0 / float(np.median(np.diff(record.time[own]))):.4g}"
+            rate = f"{1.0 / float(np.median(np.diff(record.time[index]))):.4g}"
             groups.setdefault((how, rate), []).append(name)
     remarks = [
         f"resampled: {how} of {', '.join(names)} ({rate} Hz in a file of {1.0 / median:.4g} Hz) are replaced by a "
@@ -680,8 +680,8 @@ def _sampled_at(name: str, values: np.ndarray) -> np.ndarray:
     return np.concatenate([begin + np.round(np.arange(k) * n / k).astype(int) for begin, n, k in parts])
 
 
-def _onto(record: FlightRecord, name: str, own: np.ndarray, time: np.ndarray, factor: int) -> np.ndarray:
-    values, sampled = record.channels[name][own], record.time[own]
+def _onto(record: FlightRecord, name: str, index: np.ndarray, time: np.ndarray, factor: int) -> np.ndarray:
+    values, sampled = record.channels[name][index], record.time[index]
     if name in _STEPWISE:
         return values[np.maximum(np.searchsorted(sampled, time, side="right") - 1, 0)][::factor]
     from scipy.interpolate import CubicSpline

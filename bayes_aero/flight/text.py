@@ -280,8 +280,8 @@ def laid_out(lines: Lines, separator: str | None, remarks: Sequence[str] = ()) -
     names, units = list[list[str]](), [""] * width
     for place, row in enumerate(rows):  # a row below the names of which a third are known units, and most no names
         filled = [cell.strip("[]() ") for cell in row if cell.strip("[]() ")]
-        known, aliases = sum(map(bool, map(spellings, filled))), sum(split_heading(c)[0] in ALIASES for c in filled)
-        if place and filled and known >= max(len(filled) / 3.0, aliases):
+        spelled, aliases = sum(map(bool, map(spellings, filled))), sum(split_heading(c)[0] in ALIASES for c in filled)
+        if place and filled and spelled >= max(len(filled) / 3.0, aliases):
             units = [cell.strip("[]() ") for cell in row]
         else:
             names.append(row)
@@ -295,8 +295,8 @@ def laid_out(lines: Lines, separator: str | None, remarks: Sequence[str] = ()) -
 
 
 def _table(headings: Sequence[Heading], body: Lines, separator: str | None, remarks: Sequence[str]) -> OpenedFile:
-    said = [*remarks]
-    return OpenedFile(headings, lambda wanted: read_cells(body, separator, wanted, said), "column", said)
+    notes = [*remarks]
+    return OpenedFile(headings, lambda wanted: read_cells(body, separator, wanted, notes), "column", notes)
 
 
 def _lower_part(rows: Sequence[Any]) -> list[Any]:

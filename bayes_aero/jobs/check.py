@@ -56,14 +56,14 @@ def record_checks(
     *,
     progress: Progress | None = None,
     left_out: str = "",
-    **known: Any,
+    **options: Any,
 ) -> RecordChecks:
-    """`left_out`: why the sensors are not compared, if so; `known`: arguments of `consistency` on errors of sensors."""
+    """`left_out`: why the sensors are not compared, if so; `options`: of `consistency`, on errors of sensors."""
     if progress:
         progress("do the sensors agree?", 0.0)
     agreement, failures = attempted(
         "Whether the sensors agree was not checked",
-        lambda: Consistency(left_out) if left_out else consistency(records, card, seed=seed, **known),
+        lambda: Consistency(left_out) if left_out else consistency(records, card, seed=seed, **options),
         Consistency("the check failed"),
         out,
     )
@@ -88,9 +88,9 @@ def usable_for(records: Sequence[FlightRecord], card: Card) -> dict[str, str]:
     have = available(records, card)
     if card.linear is not None:
         return {"fly": _lacks([n for n in (*card.linear.states, *card.linear.inputs) if n not in have])}
-    asked = [n for n in Model.from_card(card).channels if n != "alpha_dot"]  # which is formed
-    missing = [n for n in dict.fromkeys((*required_of(card.axes), *asked)) if n not in have]
-    flown = [n for n in dict.fromkeys((*needed_channels(card.axes), *asked)) if n not in have]
+    channels = [n for n in Model.from_card(card).channels if n != "alpha_dot"]  # which is formed
+    missing = [n for n in dict.fromkeys((*required_of(card.axes), *channels)) if n not in have]
+    flown = [n for n in dict.fromkeys((*needed_channels(card.axes), *channels)) if n not in have]
     uses = {"identify": _lacks(missing), "diagnose": _lacks(missing), "fly": _lacks(flown)}
     if missing and not flown:
         uses["diagnose"] = too_few_windows(records)
@@ -142,16 +142,16 @@ def check_records(
     uses = usable_for(sound, used) if whole else {}
     not_testable: dict[str, str] = {}
     if whole and used.linear is None and "alpha" in available(sound, used):
-        own = tuple(own_effects(used.effect_files).values())
-        not_testable = dict(candidate_model(Model.from_card(used), joined(sound, used, ()), own).not_testable)
+        effects = tuple(own_effects(used.effect_files).values())
+        not_testable = dict(candidate_model(Model.from_card(used), joined(sound, used, ()), effects).not_testable)
     why = "not asked for" if not sensors else "" if whole else "a record is not usable"
     if not why and progress:
         progress("do the sensors agree?", 0.5)
-    known, sought, found = (None, "", SensorCheck(why, {}, {})) if why else errors_of_sensors(sound, card, seed)
-    checks = record_checks(sound, card, seed, known=known, seek=False, left_out=why)
+    errors, sought, check = (None, "", SensorCheck(why, {}, {})) if why else errors_of_sensors(sound, card, seed)
+    checks = record_checks(sound, card, seed, errors=errors, seek=False, left_out=why)
     agreement = replace(checks.consistency, unsought=sought)
     return CheckReport(
-        card, tuple(reports), uses, not_testable, found, agreement, checks.health, left_out, checks.failures
+        card, tuple(reports), uses, not_testable, check, agreement, checks.health, left_out, checks.failures
     )
 
 
@@ -160,14 +160,14 @@ def errors_of_sensors(
 ) -> tuple[KnownErrors | None, str, SensorCheck]:
     """The errors that a selection along the flight path names, or why it could not look for them."""
     try:
-        found = screen_sensor_errors(list(records), card, seed=seed)
+        extension = screen_sensor_errors(list(records), card, seed=seed)
     except InputError as reason:
         return None, str(reason), SensorCheck(str(reason), {}, {})
-    known = errors_of_path(found)
-    before = np.sqrt(np.mean((found.base.left() * found.base.noise_growth) ** 2, axis=0))
-    after = np.sqrt(np.mean((found.state.left() * found.state.noise_growth) ** 2, axis=0))
-    rms = {n: (float(a), float(b)) for n, a, b in zip(found.state.outputs, before, after, strict=True)}
-    return known, "", SensorCheck("", {n: dict(error) for n, error in known.errors.items()}, rms)
+    path_errors = errors_of_path(extension)
+    before = np.sqrt(np.mean((extension.base.left() * extension.base.noise_growth) ** 2, axis=0))
+    after = np.sqrt(np.mean((extension.state.left() * extension.state.noise_growth) ** 2, axis=0))
+    rms = {n: (float(a), float(b)) for n, a, b in zip(extension.state.outputs, before, after, strict=True)}
+    return path_errors, "", SensorCheck("", {n: dict(error) for n, error in path_errors.errors.items()}, rms)
 
 
 def check_results(report: CheckReport) -> dict[str, Any]:

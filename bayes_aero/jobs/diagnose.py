@@ -96,13 +96,13 @@ def diagnose_records(
     if progress:
         progress("do the sensors agree?", 0.0)
     settings = DiagnosisSettings(max_effects=options.max_effects, process_noise=options.process_noise)
-    found = diagnose(records, card, settings=settings, seed=options.seed, progress=progress)
-    options = replace(options, test_points=options.test_points and found.by_coefficients)
-    known = errors_of_diagnosis(found) if found.by_coefficients else None
-    checks = record_checks(records, card, options.seed, out, known=known)
-    view = view_of(replace(found, following=only_following(checks.health)))
+    diagnosis = diagnose(records, card, settings=settings, seed=options.seed, progress=progress)
+    options = replace(options, test_points=options.test_points and diagnosis.by_coefficients)
+    errors = errors_of_diagnosis(diagnosis) if diagnosis.by_coefficients else None
+    checks = record_checks(records, card, options.seed, out, errors=errors)
+    view = view_of(replace(diagnosis, following=only_following(checks.health)))
     named = {name: place_of(view.diagnosis, name) for name in hidden} if hidden else {}
-    failed = (*checks.failures, *found.failures)
+    failed = (*checks.failures, *diagnosis.failures)
     kept.result = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
     kept.keep(left_out, view={"diagnosis": view.diagnosis, "trajectories": view.trajectories})
     follow_up(kept, records, card, options, progress)
@@ -172,9 +172,9 @@ class ResultStore(Growing[Outcome]):
         if changes.get("test_points", {}).get("points"):
             write_csv(points_table(changes["test_points"]), self.out / "test_points.csv")
         if view and "diagnosis" in view:
-            found = view["diagnosis"]
-            tables = {"causes": causes_table(found), "changes": changes_table(found), "terms": terms_table(found)}
-            for name, table in (tables | {"screen": screen_table(seen.rankings, found)}).items():
+            d = view["diagnosis"]
+            tables = {"causes": causes_table(d), "changes": changes_table(d), "terms": terms_table(d)}
+            for name, table in (tables | {"screen": screen_table(seen.rankings, d)}).items():
                 write_csv(table, self.out / f"{name}.csv")
         if view and "trajectories" in view:
             flown = seen.trajectories.paths if seen.trajectories else ()
@@ -193,11 +193,11 @@ def follow(
     kept: ResultStore, test_points: bool, figures: ViewFigures, tell: Progress, envelope: Envelope
 ) -> dict[str, Path]:
     """All that needs no trajectories, kept piece by piece; returns the figures drawn, by name."""
-    found, attempt = kept.result.diagnosis, partial(kept.attempt, bad="{}: {}")
+    diagnosis, attempt = kept.result.diagnosis, partial(kept.attempt, bad="{}: {}")
     if test_points:
         what = "Test points that would decide what is open were not chosen"
-        attempt(what, lambda: kept.keep(test_points=proposed_points(found, envelope)))
-        attempt("Causes were not fitted in a band of frequencies", lambda: kept.keep(in_band=causes_in_band(found)))
+        attempt(what, lambda: kept.keep(test_points=proposed_points(diagnosis, envelope)))
+        attempt("Causes were not fitted in a band of frequencies", lambda: kept.keep(in_band=causes_in_band(diagnosis)))
     if kept.out is None:
         return {}
     view = kept.result.view
@@ -230,8 +230,8 @@ def proposed_points(diagnosis: Diagnosis, envelope: Envelope = ANYWHERE) -> dict
         return {}
     state = diagnosis.aerodynamics.state
     theta = state.theta.copy()
-    for one in diagnosis.absorbed:  # at its usual value: as fitted, the control may do nothing
-        theta[state.full.columns([one.parameter])] = one.usual[0]
+    for absorbed in diagnosis.absorbed:  # at its usual value: as fitted, the control may do nothing
+        theta[state.full.columns([absorbed.parameter])] = absorbed.usual[0]
     points = next_test_points(state, sets, envelope, theta)
     rows = ("manoeuvre", "amplitude", "airspeed", "altitude", "seconds", "excursion")
     return {
@@ -255,14 +255,14 @@ def open_sets(diagnosis: Diagnosis) -> dict[frozenset[str], dict[str, float]]:
         members = frozenset({cause.name, *effects.intersection(cause.ambiguous_with)})  # a form cannot be flown
         if len(members) > 1 and cause.stage == "coefficients":
             sets.setdefault(members, {name: abs(size.mean) for name, size in cause.parameters.items()})
-    known = {c.name for c in diagnosis.causes if c.stage == "coefficients"}
+    causes = {c.name for c in diagnosis.causes if c.stage == "coefficients"}
     for pair in diagnosis.together:
-        if set(pair.effects) <= known:  # at the least sizes worth modelling: the estimates mean nothing
+        if set(pair.effects) <= causes:  # at the least sizes worth modelling: the estimates mean nothing
             sets = {frozenset(pair.effects): {}} | sets
     sets = dict(list(sets.items())[:SETS])
     parameters = {p.name: e.name for e in candidates for p in e.parameters}
-    for one in diagnosis.absorbed:
-        sets.setdefault(one.members, {p: abs(one.sizes[e].mean) for p, e in parameters.items() if e in one.sizes})
+    for entry in diagnosis.absorbed:
+        sets.setdefault(entry.members, {p: abs(entry.sizes[e].mean) for p, e in parameters.items() if e in entry.sizes})
     return sets
 
 

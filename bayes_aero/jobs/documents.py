@@ -52,16 +52,16 @@ class Part(Struct, forbid_unknown_fields=True):
     """A part of a document: all of its keys. What is `UNSET` is left out."""
 
     @classmethod
-    def of(cls, found: Any = None, **more: Any) -> Any:
-        """The part with what `found` has under the names of the fields, or `more` instead; a tuple is in their order.
+    def of(cls, source: Any = None, /, **more: Any) -> Any:
+        """The part with what `source` has under the names of the fields, or `more` instead; a tuple is in their order.
         Objects and tuples below become the parts that the fields name; a mapping stays as it is."""
-        if isinstance(found, tuple):
-            more = dict(zip(cls.__struct_fields__, found, strict=True))
+        if isinstance(source, tuple):
+            more = dict(zip(cls.__struct_fields__, source, strict=True))
         values = {}
         for f in _fields(cls):
             if get_origin(f.type) is Literal and len(get_args(f.type)) == 1:  # says the same in every document
                 more = {f.name: get_args(f.type)[0], **more}
-            value = more[f.name] if f.name in more else getattr(found, f.name, *(() if f.required else (f.default,)))
+            value = more[f.name] if f.name in more else getattr(source, f.name, *(() if f.required else (f.default,)))
             values[f.name] = _formed(f.type, value)
         return cls(**values)
 
@@ -133,18 +133,18 @@ class ConsistencyPart(Part):
     corrected: dict[str, PathCheckPart] | Unset = UNSET  # the same after correction of the errors
 
     @classmethod
-    def of(cls, found: Consistency | None = None, **_: Any) -> Any:
+    def of(cls, consistency: Consistency | None = None, **_: Any) -> Any:
         """The answer, where records depart from their flight path, what explains it, what was left and permitted."""
-        if found is None:
+        if consistency is None:
             return cls()
         return super().of(
-            found,
-            why_not=found.why_not or None,
-            errors=found.errors or {},
-            unsought=found.unsought or None,
-            open={error.name: error for error in found.open},
-            recorded={check.record: check for check in found.recorded},
-            corrected={check.record: check for check in found.corrected},
+            consistency,
+            why_not=consistency.why_not or None,
+            errors=consistency.errors or {},
+            unsought=consistency.unsought or None,
+            open={error.name: error for error in consistency.open},
+            recorded={check.record: check for check in consistency.recorded},
+            corrected={check.record: check for check in consistency.corrected},
         )
 
 
@@ -965,14 +965,14 @@ def document_schema(name: str) -> dict[str, Any]:
     for key, part in parts.items():
         part |= {"description": " ".join((classes[key].__doc__ or "").split()), "additionalProperties": False}
         above: list[str] = []
-        own = (cls for cls in classes[key].__mro__ if cls.__module__.startswith("bayes_aero"))
-        for line in (line for cls in own for line in getsource(cls).splitlines()):
+        mro = (cls for cls in classes[key].__mro__ if cls.__module__.startswith("bayes_aero"))
+        for line in (line for cls in mro for line in getsource(cls).splitlines()):
             code, _, comment = line.partition("# ")
             words = [*above, comment] if comment else above
-            if found := re.match(r"    (\w+): ", code):
-                named = re.search(r'name="(\w+)"', code) or found
+            if declared := re.match(r"    (\w+): ", code):
+                named = re.search(r'name="(\w+)"', code) or declared
                 if words and named[1] in part["properties"]:
                     part["properties"][named[1]].setdefault("description", " ".join(words))
             above = words if comment and not code.strip() else []
-    own = parts.pop(DOCUMENTS[name].__name__)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | own | {"$defs": parts}
+    root = parts.pop(DOCUMENTS[name].__name__)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | root | {"$defs": parts}

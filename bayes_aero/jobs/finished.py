@@ -44,7 +44,7 @@ def fitted_records(
     folders: Sequence[Path] = (),
 ) -> list[FlightRecord]:
     """The records as they were read: from `files`, by name from `folders`, or from where the result says they are."""
-    found = []
+    records = []
     for row in provenance["inputs"]:
         if row.get("read") is None or "content" not in row:
             how = "in memory, or by an earlier version; run the command again with a file"
@@ -60,8 +60,8 @@ def fitted_records(
         if record is None:
             where = f"in {folders[0]}" if folders else "where it was, nor beside the result, nor here"
             raise InputError(f"record {path.name} of {result} is not {where}; {remedy}")
-        found.append(replace(record, name=row["name"]))
-    return found
+        records.append(replace(record, name=row["name"]))
+    return records
 
 
 def unchanged_record(row: Mapping[str, Any], card: Card, there: Sequence[Path]) -> FlightRecord | None:
@@ -128,10 +128,10 @@ def read_finished(given: str, card: str | None = None) -> FinishedResult:
     file = result_file(given)
     if file is None:
         raise InputError(f"{given} is a card; give the folder of a result of identify, fly or diagnose")
-    told = read_result(file)
+    results = read_result(file)
     with as_written(file):
-        made_with = card_of(told["provenance"], file, card)
-        return FinishedResult(file, told, made_with, model_of_result(told, file, made_with))
+        made_with = card_of(results["provenance"], file, card)
+        return FinishedResult(file, results, made_with, model_of_result(results, file, made_with))
 
 
 def read_identified(given: str, card: str | None = None) -> tuple[Identified, FinishedResult | None]:
@@ -153,9 +153,9 @@ def read_identified(given: str, card: str | None = None) -> tuple[Identified, Fi
     return Identified(stated.name, stated.title, model, stated.aircraft, values, (source,)), None
 
 
-def model_of_result(told: Mapping[str, Any], file: Path, card: Card) -> Finished:
-    estimates, causes, how = estimates_of(told, file)
-    source = told["provenance"]
+def model_of_result(results: Mapping[str, Any], file: Path, card: Card) -> Finished:
+    estimates, causes, how = estimates_of(results, file)
+    source = results["provenance"]
     records = ", ".join(f"{row['name']} (sha256 {row['sha256'][:16]})" for row in source["inputs"])
     made = source.get("versions", {}).get("bayes-aero", "of unknown version")
     origin = f"Records: {records}. Card {card.name} (sha256 {card.sha256[:16]}). Result of bayes-aero {made}."
@@ -166,57 +166,57 @@ def model_of_result(told: Mapping[str, Any], file: Path, card: Card) -> Finished
         return {name: float(x) for name, x in values.items() if x is not None}
 
     if card.linear is not None:
-        found = IdentifiedLinear(card.name, card.title, card, {}, (how, origin), len(told["records"]))
-        return replace(found, values=complete({name: estimates.get(name) for name in found.names}))
-    model = fitted_model(card, estimates, causes, told)
+        identified = IdentifiedLinear(card.name, card.title, card, {}, (how, origin), len(results["records"]))
+        return replace(identified, values=complete({name: estimates.get(name) for name in identified.names}))
+    model = fitted_model(card, estimates, causes, results)
     values = complete(dict(model.fixed) | {p.name: estimates.get(p.name) for p in model.free})
-    ranges = [record.get("ranges", {}) for record in told["records"]]  # flown: lowest and highest that all records have
+    ranges = [record.get("ranges", {}) for record in results["records"]]  # flown: lowest and highest of all records
     shared = set.intersection(*map(set, ranges)) if ranges else set()
-    known = [n for n in sorted(shared) if all(None not in pairs[n] for pairs in ranges)]
-    flown = {n: (min(pairs[n][0] for pairs in ranges), max(pairs[n][1] for pairs in ranges)) for n in known}
+    channels = [n for n in sorted(shared) if all(None not in pairs[n] for pairs in ranges)]
+    flown = {n: (min(pairs[n][0] for pairs in ranges), max(pairs[n][1] for pairs in ranges)) for n in channels}
     return Identified(card.name, card.title, model, card.aircraft, values, (how, origin), flown)
 
 
-def estimates_of(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:
+def estimates_of(results: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:
     """Values by parameter, the causes that were added to the card's model, and a sentence on the method."""
-    kind = told["schema"].split("/")[1]
+    kind = results["schema"].split("/")[1]
     if kind == "diagnosis":
-        if not told["base_parameters"]:
+        if not results["base_parameters"]:
             raise InputError(f"{file} has no fitted parameters; there is no model to export")
-        values = {name: move["after"] for name, move in told["base_parameters"].items()}
-        causes = [cause for cause in told["causes"] if cause["confirmed"]]
+        values = {name: move["after"] for name, move in results["base_parameters"].items()}
+        causes = [cause for cause in results["causes"] if cause["confirmed"]]
         for cause in causes:
             values |= {name: size["mean"] for name, size in cause["parameters"].items()}
         names = [cause["name"] for cause in causes]
         added = f"the card's model with {', '.join(names)}" if names else "the card's model, to which nothing is added"
         return values, names, f"Values: {added} (diagnose)."
-    fit, how = (told["mle"], "maximum likelihood on coefficients (identify)") if kind == "results" else (told, "")
+    fit, how = (results["mle"], "maximum likelihood on coefficients (identify)") if kind == "results" else (results, "")
     if fit["status"] not in USABLE:
         status = fit.get("advice") or fit["status"].replace("_", " ")
         raise InputError(f"the fit of {file} has not converged ({status}); there is no model to export")
     values = {name: p["estimate"] for name, p in fit["parameters"].items()}
-    if with_process_noise(told):
-        values |= {name: x for name, (x, _) in told["process_noise"]["estimates"].items()}
+    if with_process_noise(results):
+        values |= {name: x for name, (x, _) in results["process_noise"]["estimates"].items()}
         how = "maximum likelihood on trajectories with process noise (fly)"
     return values, [], f"Values: {how or 'output error, maximum likelihood on trajectories (fly)'}."
 
 
-def with_process_noise(told: Mapping[str, Any]) -> bool:
-    filtered = told.get("process_noise")
+def with_process_noise(results: Mapping[str, Any]) -> bool:
+    filtered = results.get("process_noise")
     return filtered is not None and bool(filtered["converged"]) and (filtered["gain"] or 0.0) > 0.0
 
 
-def fitted_model(card: Card, estimates: Mapping[str, Any], causes: Sequence[str], told: Mapping[str, Any]) -> Model:
+def fitted_model(card: Card, estimates: Mapping[str, Any], causes: Sequence[str], results: Mapping[str, Any]) -> Model:
     """The card's model on the axes that were recorded, for a fit leaves out the others, with the causes."""
     model = Model.from_card(card)
     fixed = dict(model.fixed)
-    known = [e for e in model.effects if all(p.name in estimates or p.name in fixed for p in e.parameters)]
-    if len(known) < len(model.effects):
-        axes = tuple(a for a in model.axes if "mle" not in told or set(COEFFICIENTS[a]) & set(told["mle"]["fit"]))
-        if "mle" not in told:
-            axes = tuple(a for a in axes if any(e.axes == (a,) and e.parameters for e in known))
-        there = {p.name for e in known for p in e.parameters}
-        kept = [e for e in known if e.acts_on(axes) and set(e.uses) <= there]
+    fitted = [e for e in model.effects if all(p.name in estimates or p.name in fixed for p in e.parameters)]
+    if len(fitted) < len(model.effects):
+        axes = tuple(a for a in model.axes if "mle" not in results or set(COEFFICIENTS[a]) & set(results["mle"]["fit"]))
+        if "mle" not in results:
+            axes = tuple(a for a in axes if any(e.axes == (a,) and e.parameters for e in fitted))
+        there = {p.name for e in fitted for p in e.parameters}
+        kept = [e for e in fitted if e.acts_on(axes) and set(e.uses) <= there]
         names = {p.name for e in kept for p in e.parameters}
         if not axes or not kept:
             raise InputError(f"the result has values of no effect of card {card.name}; run the command again")
@@ -245,9 +245,9 @@ def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) 
     """Draws of `wanted` by a posterior that converged, else normal with the corrected covariance, within the bounds."""
     if not 1 <= count <= MOST_DRAWS:
         raise InputError(f"--draws is {count}; give a number from 1 to {MOST_DRAWS}")
-    rng, told, found = np.random.default_rng(seed), result.told, result.identified
+    rng, results, model = np.random.default_rng(seed), result.told, result.identified
     for sampler in SAMPLERS:
-        status = told.get("posterior", {}).get("status", {}).get(sampler)
+        status = results.get("posterior", {}).get("status", {}).get(sampler)
         file = result.folder / f"posterior_{sampler}.nc"
         if status is None or status["status"] != "converged" or not file.is_file():
             continue
@@ -259,26 +259,26 @@ def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) 
             raise InputError(f"{file} has {len(values)} draws; give --draws {len(values)} or less")
         origin = f"posterior by {sampler} under {status['noise']} noise"
         return Draws(names, values[rng.choice(len(values), count, replace=False)], origin)
-    if "causes" in told:  # a diagnosis
-        stored = told.get("covariance") or {}
+    if "causes" in results:  # a diagnosis
+        stored = results.get("covariance") or {}
         rows, matrix = stored.get("parameters", ()), stored.get("matrix")
     else:
-        part = told["process_noise"] if result.filtered else told.get("mle", told)
+        part = results["process_noise"] if result.filtered else results.get("mle", results)
         rows, matrix = part["estimates" if result.filtered else "parameters"], part.get("covariance")
     if matrix is None:
-        raise no_draws(found.name)
+        raise no_draws(model.name)
     # About the estimates, within the bounds; what the covariance does not know is left out.
     covariance = np.array(matrix, dtype=float)
-    known = [name in wanted and bool(np.all(np.isfinite(covariance[i]))) for i, name in enumerate(rows)]
-    names = tuple(np.array(list(rows))[known].tolist())
-    low, high = np.array([found.bounds[name] for name in names]).T
-    values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)])
+    determined = [name in wanted and bool(np.all(np.isfinite(covariance[i]))) for i, name in enumerate(rows)]
+    names = tuple(np.array(list(rows))[determined].tolist())
+    low, high = np.array([model.bounds[name] for name in names]).T
+    values, vectors = np.linalg.eigh(covariance[np.ix_(determined, determined)])
     white = rng.standard_normal((TRIES * count, len(names)))
-    draws = np.array([found.values[name] for name in names]) + (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    draws = np.array([model.values[name] for name in names]) + (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     draws = draws[np.all((draws >= low) & (draws <= high), axis=1)][:count]
     if len(draws) < count:
         raise InputError(
-            f"{found.name}: draws of {', '.join(names)} lie beyond the bounds; sample it (identify, fly --posterior)"
+            f"{model.name}: draws of {', '.join(names)} lie beyond the bounds; sample it (identify, fly --posterior)"
         )
     held = [name for name in wanted if name not in names]
     of = "of the fit with process noise" if result.filtered else "corrected for coloured residuals"
@@ -361,34 +361,34 @@ def export(
     `out` (default NAME_FORM), with `draws`. Returns the folder, and what export.json says."""
     if form not in FORMS:
         raise InputError(f"there is no form {form!r} to export to; give one of {', '.join(FORMS)}")
-    found, result = read_identified(given, card)
-    found = _renamed(found)
+    identified, result = read_identified(given, card)
+    identified = _renamed(identified)
     if draws:
         if result is None:
-            raise no_draws(found.name)
-        needed = [p.name for p in found.exported.free if p.name in found.program.inputs_of("parameter")]
-        found = replace(found, draws=drawn(result, needed, draws, seed))
-    target = out or Path(f"{found.name}_{form}")
-    return target, write_export(found, form, target)
+            raise no_draws(identified.name)
+        needed = [p.name for p in identified.exported.free if p.name in identified.program.inputs_of("parameter")]
+        identified = replace(identified, draws=drawn(result, needed, draws, seed))
+    target = out or Path(f"{identified.name}_{form}")
+    return target, write_export(identified, form, target)
 
 
-def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
-    found = _renamed(found)
+def write_export(identified: Identified, form: str, target: Path) -> dict[str, Any]:
+    identified = _renamed(identified)
     if target.exists() or target.is_symlink():
         raise InputError(f"{target} exists; give another folder with --out")
     part = beside(target.absolute())
     try:
         part.mkdir(parents=True)
-        facts = export_facts(found, form, FORMS[form](found, part))
+        facts = export_facts(identified, form, FORMS[form](identified, part))
         write_json(facts, part / "export.json")
-        use = [USE[form].format(name=found.name)]
+        use = [USE[form].format(name=identified.name)]
         if form == "jsbsim":
-            table = [f"{n}: {PROPERTIES[n][0]}" for n in found.program.inputs_of("signal") if n in PROPERTIES]
+            table = [f"{n}: {PROPERTIES[n][0]}" for n in identified.program.inputs_of("signal") if n in PROPERTIES]
             use.append(f"Read from JSBSim: {'; '.join(table)}.")
-        lines = [textwrap.fill(sentence, WIDTH) for sentence in (*about(found), *use)]
+        lines = [textwrap.fill(sentence, WIDTH) for sentence in (*about(identified), *use)]
         write_whole("\n".join(lines) + "\n", part / "README.txt")
-        if found.draws is not None:
-            frame = pd.DataFrame(found.draws.values, columns=list(found.draws.names))
+        if identified.draws is not None:
+            frame = pd.DataFrame(identified.draws.values, columns=list(identified.draws.names))
             write_whole(frame.to_csv(index=False), part / "draws.csv")
         put_folder(part, target.absolute())
     except OSError as reason:
@@ -398,14 +398,14 @@ def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
     return facts
 
 
-def _renamed(found: Identified) -> Identified:
+def _renamed(identified: Identified) -> Identified:
     """The model under a name that is one in XML and for every system's files."""
-    name = re.sub(r"[^A-Za-z0-9_]", "_", found.name)
-    return replace(found, name=safe_name(name if re.match(r"[A-Za-z_]", name) else f"_{name}"))
+    name = re.sub(r"[^A-Za-z0-9_]", "_", identified.name)
+    return replace(identified, name=safe_name(name if re.match(r"[A-Za-z_]", name) else f"_{name}"))
 
 
-def write_jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:
-    files = jsbsim_files(found)
+def write_jsbsim(identified: Identified, folder: Path) -> tuple[str, ...]:
+    files = jsbsim_files(identified)
     for name, text in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(text, folder / name)
@@ -414,30 +414,30 @@ def write_jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:
 
 FORMS: dict[str, Callable[[Identified, Path], tuple[str, ...]]] = {
     "jsbsim": write_jsbsim,
-    "fmu": lambda found, folder: (write_fmu(found, folder).name,),
+    "fmu": lambda identified, folder: (write_fmu(identified, folder).name,),
     "tables": write_tables,
 }
 
 
-def export_facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[str, Any]:
-    read = found.program.inputs_of("parameter")
+def export_facts(model: Identified, form: str, files: tuple[str, ...]) -> dict[str, Any]:
+    read = model.program.inputs_of("parameter")
     return {
         "schema": "bayes_aero/export/1",
-        **picked(found, "name", "title"),
+        **picked(model, "name", "title"),
         "form": form,
         "version": f"bayes_aero {__version__}",
         "files": list(files),
         "parameters": {
-            p.name: {"value": found.values[p.name], "unit": p.unit} for p in found.exported.parameters if p.name in read
+            p.name: {"value": model.values[p.name], "unit": p.unit} for p in model.exported.parameters if p.name in read
         },
-        "inputs": list(found.program.inputs_of("signal")),
-        "states": list(found.program.inputs_of("state")),
-        "outputs": list(found.program.outputs),
-        "flown": {name: list(found.flown[name]) for name in found.signals if name in found.flown},
-        "sources": list(found.sources),
-        "validity": list(validity(found)),
-        "draws": None if found.draws is None else {"count": len(found.draws.values), "origin": found.draws.origin},
-        "left_out": list(found.left_out),
+        "inputs": list(model.program.inputs_of("signal")),
+        "states": list(model.program.inputs_of("state")),
+        "outputs": list(model.program.outputs),
+        "flown": {name: list(model.flown[name]) for name in model.signals if name in model.flown},
+        "sources": list(model.sources),
+        "validity": list(validity(model)),
+        "draws": None if model.draws is None else {"count": len(model.draws.values), "origin": model.draws.origin},
+        "left_out": list(model.left_out),
     }
 
 

@@ -129,12 +129,12 @@ def fitted(
     checks = record_checks(records, card, options.seed, out, progress=progress)
     undecided = options.process_noise is None
     met = in_gusts(records, card, options.seed) if undecided and checks.consistency.recorded else {}
-    coefficients, failed, own = None, (), bool(card.effect_files)
+    coefficients, failed, user_code = None, (), bool(card.effect_files)
     if not options.flight_path and card.linear is None:
         if progress:
             progress("coefficients", 0.0)
         what, fit = "The coefficients gave no first values", partial(coefficient_fit, records, card, options.seed)
-        coefficients, failed = attempted(what, fit, None, out, own=own)
+        coefficients, failed = attempted(what, fit, None, out, user_code=user_code)
     flown = output_error_fit(flights, dynamics, card, coefficients, options, progress)
     flown = replace(flown, following=only_following(checks.health))
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
@@ -147,10 +147,10 @@ def fitted(
         if progress:
             progress("process noise", 0.9)
         filtered, more = attempted(
-            "Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own
+            "Process noise was not fitted", lambda: with_process_noise(flown), None, out, user_code=user_code
         )
         beside, sample = filtered or (None, None)
-    notes = [*left_out, *notes, *(said for fit in flown.frequency for said in frequency_sentences(fit))]
+    notes = [*left_out, *notes, *(line for fit in flown.frequency for line in frequency_sentences(fit))]
     if options.process_noise and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
     moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown, beside), None, out)
@@ -158,15 +158,15 @@ def fitted(
     failed = (*checks.failures, *failed, *more, *unmoved)
     sentences = (
         *trajectories.gust_sentences(met, beside),
-        *trajectories.settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed),
+        *trajectories.settled_sentences(apart, beside, still_apart(apart, beside), disputed=disputed),
         *(() if beside is None else trajectories.process_noise_sentences(beside, flown)),
         *text.fly_sentences(flown, hindered, disturbed=bool(options.process_noise)),
         *text.disagreement_sentences(apart, hindered),
         *motion_sentences(moves),
     )
     kept = FlightStore(card, records, out, source)
-    found = (flown, sentences, tuple(notes), checks.health, checks.consistency, failed, apart, beside)
-    kept.result = Flight(*found, motion=moves)
+    parts = (flown, sentences, tuple(notes), checks.health, checks.consistency, failed, apart, beside)
+    kept.result = Flight(*parts, motion=moves)
     kept.keep()
     if sample is not None and beside is not None and options.posterior and beside.converged:
         kept.sample(partial(sample, options.seed, progress))
@@ -175,13 +175,13 @@ def fitted(
 
 class FlightStore(Growing[Flight]):
     def write(self, out: Path) -> None:
-        found = self.result
-        write_csv(parameter_table(found.flown), out / "parameters.csv")
-        if found.process_noise is not None and found.process_noise.histories:
-            write_csv(gust_table(found.process_noise), out / "gusts.csv")
-        if found.posteriors:
-            write_csv(posterior_table(found.posteriors), out / "posterior.csv")
-        write_json(fly_results(found, self.card, self.records, self.source), out / RESULTS)
+        flight = self.result
+        write_csv(parameter_table(flight.flown), out / "parameters.csv")
+        if flight.process_noise is not None and flight.process_noise.histories:
+            write_csv(gust_table(flight.process_noise), out / "gusts.csv")
+        if flight.posteriors:
+            write_csv(posterior_table(flight.posteriors), out / "posterior.csv")
+        write_json(fly_results(flight, self.card, self.records, self.source), out / RESULTS)
 
     def sample(self, sample: Sampling) -> None:
         begun, posteriors = self.result, {}
@@ -195,16 +195,16 @@ class FlightStore(Growing[Flight]):
 
     def show(self, *, figures: bool, progress: Progress | None) -> None:
         """Histories, figures and page, and what could not be made of them."""
-        found, out = self.result, self.out
+        flight, out = self.result, self.out
         if out is None:
             return
-        together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
-        failed = put_histories(lambda: flights(together, found.flown.units), out)
+        together = [replace(path, split=FITTED) for path in flight.flown.paths]  # first values and fit side by side
+        failed = put_histories(lambda: flights(together, flight.flown.units), out)
         drawn: list[Path] = []
         if figures:
-            every: list[tuple[Any, Any]] = [(fly_figures(found.flown), found.flown)]
-            every += [] if found.process_noise is None else [({"gusts": gusts}, found.process_noise)]
-            every += [({"pair": pair_of}, found.posteriors)] if found.posteriors else []
+            every: list[tuple[Any, Any]] = [(fly_figures(flight.flown), flight.flown)]
+            every += [] if flight.process_noise is None else [({"gusts": gusts}, flight.process_noise)]
+            every += [({"pair": pair_of}, flight.posteriors)] if flight.posteriors else []
             for number, (drawings, shown) in enumerate(every):
                 paths, more = draw_all(drawings, shown, out / "figures", None if number else progress)
                 drawn, failed = [*drawn, *paths], (*failed, *more)
@@ -214,7 +214,7 @@ class FlightStore(Growing[Flight]):
             progress("report", 0.95)
         pictures = {path.stem: path for path in drawn}
         context = PageContext(self.card, self.records, self.source, pictures, self.result)
-        if failed := put_page(lambda: fly_page(found.flown, context), out):
+        if failed := put_page(lambda: fly_page(flight.flown, context), out):
             self.keep((), failed)
 
 
@@ -239,8 +239,8 @@ def setting_of(options: FlyOptions, card: Card) -> Setting:
 def coefficient_fit(records: Sequence[FlightRecord], card: Card, seed: int) -> MleResult | None:
     model, (without_spikes, _) = Model.from_card(card), repaired(records)
     try:
-        found = fit_mle(model, observe(without_spikes, card, model), seed=seed)
-        return without_noise_bias(found, without_spikes, card, model, seed=seed)
+        fit = fit_mle(model, observe(without_spikes, card, model), seed=seed)
+        return without_noise_bias(fit, without_spikes, card, model, seed=seed)
     except InputError:
         return None
 
@@ -260,7 +260,7 @@ def output_error_fit(
         lower, upper = (np.array([p.bounds[i] for p in dynamics.free], float) for i in (0, 1))
         start = np.array([near.get(p.name, p.start) for p in dynamics.free])
         starts = [np.clip(start, lower, upper)] if np.all(np.isfinite(start)) else []
-    found = fit_trajectories(
+    fit = fit_trajectories(
         flights,
         dynamics,
         {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
@@ -270,9 +270,9 @@ def output_error_fit(
         progress=progress,
     )
     if options.frequency is None:
-        return found
+        return fit
     in_band, responses = linear_in_band(flights, dynamics, options.frequency)
-    return replace(found, frequency=in_band, frequency_responses=responses)
+    return replace(fit, frequency=in_band, frequency_responses=responses)
 
 
 # --- What a record is flown by: the card's model of effects, its linear system, or its accelerations and rates.
@@ -341,34 +341,34 @@ def flight_path(
         Klein and Morelli, Aircraft System Identification, 2006, ch. 10.
     """
     targets = [] if out is None else corrected_files(records, out / CORRECTED)
-    found = fly(records, card, options.fly, out=out, progress=progress)
+    flight = fly(records, card, options.fly, out=out, progress=progress)
     if out is None:
-        return found
+        return flight
     folder = out / CORRECTED
     for left in written_before(folder):  # records of an earlier run are none of this one, whatever comes of it
         left.unlink()
-    if found.flown.converged and not found.flown.worse:
+    if flight.flown.converged and not flight.flown.worse:
         folder.mkdir(exist_ok=True)
-        for record, target in zip(corrected_records(records, found.flown), targets, strict=True):
+        for record, target in zip(corrected_records(records, flight.flown), targets, strict=True):
             write_record(record, target, card.channels)
             files = {path.name: sha256_of(path) for path in targets if path.is_file()}
             write_json({"schema": SCHEMA, "files": files}, folder / WRITTEN)
-    return found
+    return flight
 
 
 def corrected_files(records: Sequence[FlightRecord], folder: Path) -> list[Path]:
     """Where the corrected records go, a file each; `InputError` for one that this command did not write as it is."""
-    own, found = written_before(folder), []
+    written, targets = written_before(folder), []
     for record in records:
         name = safe_name(re.sub(r"[^\w.@+-]", "_", record.name))
         paths = (folder / f"{name}{'' if k == 1 else f'_{k}'}.csv" for k in count(1))
-        path = next(path for path in paths if path not in found)
-        if path.exists() and path not in own:
+        path = next(path for path in paths if path not in targets)
+        if path.exists() and path not in written:
             raise InputError(
                 f"{path} is not as bayes-aero path wrote it, and would be replaced; move it, or give another --out"
             )
-        found.append(path)
-    return found
+        targets.append(path)
+    return targets
 
 
 def written_before(folder: Path) -> list[Path]:
@@ -386,10 +386,10 @@ def corrected_records(records: Sequence[FlightRecord], flown: TrajectoryFit) -> 
     fit = flown.fit
     flights, dynamics = fit.flown.flights, fit.flown.dynamics
     true = dynamics.corrected(dynamics.values(jnp.asarray(fit.estimate)), flights.channels, flights.aircraft)
-    found, begin = [], 0
+    corrected, begin = [], 0
     for record, length in zip(records, flights.lengths, strict=True):
         part = slice(begin, begin + length)
         new = {n: np.asarray(x[part]) for n, x in true.items() if n in record.channels and x is not flights.channels[n]}
-        found.append(replace(record, channels={**record.channels, **new}))
+        corrected.append(replace(record, channels={**record.channels, **new}))
         begin += length
-    return found
+    return corrected

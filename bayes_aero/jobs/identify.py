@@ -143,11 +143,11 @@ class IdentificationJob(Growing[Identification]):
         matched = forming is Forming.MATCHED
         with self.timed("do the sensors agree?"):
             checked = record_checks(self.records, self.card, seed, self.out, **checks)
-        said = []
+        notes = []
         if many > MAX_SEPARATE_FITS:
-            said.append(f"{many} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
+            notes.append(f"{many} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
         if many > MOST_MANOEUVRES:
-            said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
+            notes.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
         with self.timed("mle"):
             raw = fit_mle(model, observations, seed=seed)
             self.result = Identification(
@@ -159,7 +159,7 @@ class IdentificationJob(Growing[Identification]):
                 raw,
                 {},
                 {},
-                notes=(*self.left_out, *self.spikes, *(rate_notes(self.records) if matched else ()), *said),
+                notes=(*self.left_out, *self.spikes, *(rate_notes(self.records) if matched else ()), *notes),
                 failures=checked.failures,
                 health=checked.health,
                 consistency=checked.consistency,
@@ -179,15 +179,15 @@ class IdentificationJob(Growing[Identification]):
     def fit_in_band(self, band: Band) -> None:
         with self.timed("frequency domain"):
             seed = self.options.seed
-            found = coefficients_in_band(self.repaired, self.card, self.model, self.result.mle, band, seed=seed)
-        self.keep(frequency_sentences(found), frequency=found)
+            in_band = coefficients_in_band(self.repaired, self.card, self.model, self.result.mle, band, seed=seed)
+        self.keep(frequency_sentences(in_band), frequency=in_band)
 
     def pool(self) -> None:
         do = partial(pooled_manoeuvres, self.result, self.repaired, seed=self.options.seed, progress=self.progress)
-        found = self.stage("next flight", "The next flight was left out", do, bad="{}: {}.")
-        if found is not None and self.out is not None:
-            found.save(self.out / "next_flight.nc")
-        self.keep(next_flight=found)
+        pooled = self.stage("next flight", "The next flight was left out", do, bad="{}: {}.")
+        if pooled is not None and self.out is not None:
+            pooled.save(self.out / "next_flight.nc")
+        self.keep(next_flight=pooled)
 
     def fly(self, out: Path) -> None:
         """Simulate the fitted model from measured initial states with the recorded inputs, where there are all."""
@@ -204,15 +204,15 @@ class IdentificationJob(Growing[Identification]):
         for key, colour, engine in posterior_plan(Colour(self.options.noise)):
             left_out = f"The posterior by {key} under {colour.value} noise was not sampled"
             do = partial(sampled, self.result, key, colour, engine, seed=self.options.seed, progress=self.progress)
-            if (found := self.stage(key, left_out, do)) is not None:
+            if (sampling := self.stage(key, left_out, do)) is not None:
                 if self.out is not None:
-                    found[0].save(self.out / f"posterior_{key}.nc")
-                self.keep(found[1], posteriors=self.result.posteriors | {key: found[0]})
+                    sampling[0].save(self.out / f"posterior_{key}.nc")
+                self.keep(sampling[1], posteriors=self.result.posteriors | {key: sampling[0]})
 
     def train_gp(self) -> None:
         training = Training(self.options.split, self.options.seed)
-        asked = (self.model, self.observations, self.result.mle, self.card.gp_inputs, training, self.progress)
-        report = self.stage("gp", "Gaussian process left out", partial(validate, *asked), bad="{}: {}")
+        arguments = (self.model, self.observations, self.result.mle, self.card.gp_inputs, training, self.progress)
+        report = self.stage("gp", "Gaussian process left out", partial(validate, *arguments), bad="{}: {}")
         if report is not None and self.out is not None:
             save_gp(report, self.out / "gpr.nc")
         self.keep(() if report is None else report.left_out, gp=report)
@@ -238,11 +238,11 @@ def sampled(
 ) -> tuple[Posterior, tuple[str, ...]]:
     density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
     mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
-    found = engine(density, mode, seed=seed, progress=progress)
+    posterior = engine(density, mode, seed=seed, progress=progress)
     notes = other_modes(mode, f"{key}, {colour.value} noise")
     if run.mle.conflicts and key == "emcee":
-        notes += leaning_sentences(prior_sensitivity(density, found), run.mle.conflicts)
-    return found, notes
+        notes += leaning_sentences(prior_sensitivity(density, posterior), run.mle.conflicts)
+    return posterior, notes
 
 
 def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:

@@ -153,9 +153,9 @@ class FlyOptions(Options):
         if not (math.isfinite(self.windows) and self.windows >= SHORTEST):
             raise InputError(f"windows of {self.windows:g} s cannot be flown; give at least {SHORTEST:g} s")
         for name in ("initial_state", "inputs"):
-            known, given = get_args(self.kinds()[name]), getattr(self, name)
-            if given not in known:
-                raise InputError(f"the setting {name.replace('_', ' ')} is {given!r}; use {' or '.join(known)}")
+            choices, given = get_args(self.kinds()[name]), getattr(self, name)
+            if given not in choices:
+                raise InputError(f"the setting {name.replace('_', ' ')} is {given!r}; use {' or '.join(choices)}")
 
 
 @dataclass(frozen=True)
@@ -206,10 +206,10 @@ def keywords(kind: type[Options]) -> Callable[[Job], Job]:
     def of(job: Job) -> Job:
         @wraps(job)
         def run(records: Any, card: Any, options: Options | None = None, **given: Any) -> Any:
-            own = {name: given.pop(name) for name in keys if name in given}
-            if own and options is not None:
+            settings = {name: given.pop(name) for name in keys if name in given}
+            if settings and options is not None:
                 raise TypeError(f"{job.__name__}() has its options in one or by keyword, not both")
-            return job(records, card, options or kind(**own), **given)
+            return job(records, card, options or kind(**settings), **given)
 
         signature = inspect.signature(job)
         parameters = [*signature.parameters.values(), *(p.replace(kind=p.KEYWORD_ONLY) for p in keys.values())]

@@ -34,8 +34,8 @@ if TYPE_CHECKING:  # what computes and draws is heavy
 
 
 def known_effects(card: Card | None = None) -> dict[str, Effect]:
-    own = own_effects(card.effect_files) if card is not None else {}
-    return dict(sorted((CATALOGUE | own).items()))
+    card_effects = own_effects(card.effect_files) if card is not None else {}
+    return dict(sorted((CATALOGUE | card_effects).items()))
 
 
 def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
@@ -115,7 +115,7 @@ def refuse_existing(path: Path) -> None:
 
 def write_effects(terms: Sequence[FoundTerm], records: Sequence[str], path: Path) -> str:
     """Write the terms of a diagnosis that an effect file can state, and say what was written in a sentence."""
-    stated = [one for one in terms if one.term.code is not None]
+    stated = [term for term in terms if term.term.code is not None]
     if not stated:
         return f"No term was found that an effect file can state, so {path} was not written."
     try:
@@ -126,17 +126,17 @@ def write_effects(terms: Sequence[FoundTerm], records: Sequence[str], path: Path
 
 
 def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
-    told = re.sub(r"[^\w.@:+ -]", "_", " and ".join(records))  # a name becomes part of a program
-    code = " ".join(one.term.code or "" for one in terms)
-    parts = [HEAD.format(records=told, imports="".join(line for used, line in IMPORTED.items() if used in code))]
-    for one in terms:
-        plain = one.term.name.lower().replace("(1 - x)", "separated").replace("^", "").replace("+", "plus")
-        name, (size, sd) = f"{one.coefficient}_{re.sub(r'[^a-z0-9]+', '_', plain).strip('_')}", one.size
-        largest = LARGEST * max(abs(size), one.least)
-        names = {"name": name.lower(), "constant": name.upper(), "parameter": name, "coefficient": one.coefficient}
-        about = {"term": one.term.name, "unit": one.term.unit, "code": one.term.code, "channels": one.term.channels}
-        sizes = {"size": size, "sd": sd, "least": float(f"{one.least:.3g}"), "largest": float(f"{largest:.3g}")}
-        parts.append(TERM.format(**names, **about, **sizes, records=told))
+    sources = re.sub(r"[^\w.@:+ -]", "_", " and ".join(records))  # a name becomes part of a program
+    code = " ".join(term.term.code or "" for term in terms)
+    parts = [HEAD.format(records=sources, imports="".join(line for used, line in IMPORTED.items() if used in code))]
+    for term in terms:
+        plain = term.term.name.lower().replace("(1 - x)", "separated").replace("^", "").replace("+", "plus")
+        name, (size, sd) = f"{term.coefficient}_{re.sub(r'[^a-z0-9]+', '_', plain).strip('_')}", term.size
+        largest = LARGEST * max(abs(size), term.least)
+        names = {"name": name.lower(), "constant": name.upper(), "parameter": name, "coefficient": term.coefficient}
+        about = {"term": term.term.name, "unit": term.term.unit, "code": term.term.code, "channels": term.term.channels}
+        sizes = {"size": size, "sd": sd, "least": float(f"{term.least:.3g}"), "largest": float(f"{largest:.3g}")}
+        parts.append(TERM.format(**names, **about, **sizes, records=sources))
     return "".join(parts)
 
 
@@ -144,7 +144,7 @@ def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
 
 
 def simulate_file(
-    request: Request, card: Card, known: Mapping[str, Effect], out: Path
+    request: Request, card: Card, catalogue: Mapping[str, Effect], out: Path
 ) -> tuple[Synthetic, dict[str, Any]]:
     """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again."""
     from bayes_aero.simulate.injection import synthetic
@@ -153,43 +153,43 @@ def simulate_file(
         raise InputError(f"{out}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")
     if not out.parent.is_dir():
         raise InputError(f"{out}: there is no folder {out.parent}; make it, or name another file with --out")
-    found = synthetic(request, card, known, out.stem)
-    record = found.record
+    simulated = synthetic(request, card, catalogue, out.stem)
+    record = simulated.record
     write_record(record, out, [c for c in card.channels if record.has(c.name)])
     try:
         read_record(out, card.channels)
     except InputError:
         out.unlink(missing_ok=True)
         raise
-    asked = asdict(request) | {"duration": request.seconds}
-    source = provenance(card, [record], request.seed, {k: v for k, v in asked.items() if k not in ("effects", "seed")})
+    fields = asdict(request) | {"duration": request.seconds}
+    source = provenance(card, [record], request.seed, {k: v for k, v in fields.items() if k not in ("effects", "seed")})
     del source["inputs"]
     truth = {
         "schema": "bayes_aero/truth/1",
         "file": {"name": out.name, "sha256": sha256_of(out)},
         "seed": request.seed,
         "effects": request.effects,
-        **picked(found, "parameters", "disturbance", "sensor_noise", "notes"),
+        **picked(simulated, "parameters", "disturbance", "sensor_noise", "notes"),
         "provenance": source,
     }
     write_json(truth, out.with_name(out.name + ".truth.json"))
-    return found, truth
+    return simulated, truth
 
 
 # --- Effects as they are asked for on the command line and in studies: "NAME=VALUE" or "NAME.PARAMETER=VALUE".
 
 
-def parsed_effects(given: Sequence[str], known: Mapping[str, Effect]) -> dict[str, dict[str, float]]:
+def parsed_effects(given: Sequence[str], catalogue: Mapping[str, Effect]) -> dict[str, dict[str, float]]:
     """True values by effect and parameter, in SI; a value may carry a unit, "pitch_rate_bias=0.2 deg/s"."""
     from bayes_aero.simulate.demo import TRUTH
 
-    found: dict[str, dict[str, float]] = {}
+    effects: dict[str, dict[str, float]] = {}
     for text in given:
         left, equals, right = text.partition("=")
         name, _, wanted = left.strip().partition(".")
         if not equals or not right.strip():
             raise InputError(f"--effect {text!r} has no value; write NAME=VALUE, e.g. pitch_rate_bias=0.01")
-        parameters = {p.name: p for p in effect_named(name, known).parameters}
+        parameters = {p.name: p for p in effect_named(name, catalogue).parameters}
         if not parameters:
             raise InputError(f"--effect {text!r}: {name} has no parameter, so there is nothing to set")
         if wanted not in parameters and (wanted or len(parameters) > 1):
@@ -197,7 +197,7 @@ def parsed_effects(given: Sequence[str], known: Mapping[str, Effect]) -> dict[st
             has = f"has no parameter {wanted}" if wanted else f"has {len(parameters)} parameters"
             raise InputError(f"--effect {text!r}: {name} {has}; write {names}")
         parameter = parameters[wanted] if wanted else next(iter(parameters.values()))
-        values = found.setdefault(name, {})
+        values = effects.setdefault(name, {})
         if parameter.name in values:
             raise InputError(f"--effect gives {parameter.name} twice; keep one of the two")
         try:
@@ -208,11 +208,11 @@ def parsed_effects(given: Sequence[str], known: Mapping[str, Effect]) -> dict[st
         if not (math.isfinite(value) and lower <= value <= upper):
             raise InputError(f"--effect {text!r}: {parameter.name} must lie between {lower:g} and {upper:g}")
         values[parameter.name] = value
-    for name, values in found.items():
-        if missing := [p.name for p in known[name].parameters if p.name not in values and p.name not in TRUTH]:
+    for name, values in effects.items():
+        if missing := [p.name for p in catalogue[name].parameters if p.name not in values and p.name not in TRUTH]:
             lacks = missing[0]
             raise InputError(f"effect {name} has also the parameter {lacks}; add --effect {name}.{lacks}=VALUE")
-    return found
+    return effects
 
 
 # --- A starter card for a new aircraft: what a record's columns seem to be, and what only its user can know.
@@ -272,7 +272,7 @@ def starter_card(path: Path) -> Starter:
     longest = max((len(c.values) for c in raw.columns if c.values is not None), default=0)
     if longest < MIN_SAMPLES:
         raise InputError(f"{path}: it has {longest} samples; at least {MIN_SAMPLES} are needed to guess from")
-    found, unknown = guessed(raw.columns)
+    guesses, unknown = guessed(raw.columns)
     lines = [
         f"# Starter card, written from {path.name}. Read every line: what says 'guess' may be wrong.",
         "# Fill in what says TODO, then: bayes-aero check RECORD --model THIS_FILE",
@@ -287,15 +287,15 @@ def starter_card(path: Path) -> Starter:
         ),
         OPTIONAL,
         "",
-        *channels_block(found, unknown, raw.columns),
+        *channels_block(guesses, unknown, raw.columns),
         "",
-        *sums_block(found),
-        *constants_block(found),
-        *sensors_block(found),
-        *model_block(found, "mach" in found or "mach" in _derivable(found)),
+        *sums_block(guesses),
+        *constants_block(guesses),
+        *sensors_block(guesses),
+        *model_block(guesses, "mach" in guesses or "mach" in _derivable(guesses)),
     ]
     todo = [(line.key, line.what) for line in lines if isinstance(line, Todo)]
-    return Starter("\n".join(lines) + "\n", todo, found, unknown)
+    return Starter("\n".join(lines) + "\n", todo, guesses, unknown)
 
 
 def _text(words: str) -> str:
@@ -303,31 +303,31 @@ def _text(words: str) -> str:
 
 
 def channels_block(
-    found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns: Sequence[RawColumn]
+    guesses: Mapping[str, Guess], unknown: Sequence[RawColumn], columns: Sequence[RawColumn]
 ) -> Iterator[str]:
     """Lines of `[channels]`: each guess with its evidence, what is needed and absent as TODO, the rest as comments."""
     yield "# The file's columns. sign = -1: the file counts the other way (nz up, elevator trailing edge up)."
     yield "[channels]"
     headless = all(column.label is None for column in columns)
     place = "column" if headless else "label"
-    summed = "elevator" not in found and (_both(found, "elevator") or _both(found, "elevon"))
+    summed = "elevator" not in guesses and (_both(guesses, "elevator") or _both(guesses, "elevon"))
     for name in NEEDED:
-        if name not in found and name not in HELD and not (name == "elevator" and summed):
+        if name not in guesses and name not in HELD and not (name == "elevator" and summed):
             yield _absent(name, place)
-    for name, guess in found.items():
+    for name, guess in guesses.items():
         optional = "" if name in NEEDED or name in KINEMATIC else ", required = false"
         sign = ", sign = -1" if guess.sign < 0 else ""
         entry = f"{{ {_place(guess.column)}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
-        doubt, said = _implausible(name, guess), f"guess: {guess.evidence}; {_range(guess.values)}"
+        doubt, evidence = _implausible(name, guess), f"guess: {guess.evidence}; {_range(guess.values)}"
         if not doubt:
-            yield Todo(name, entry, said) if not guess.unit else f"{name} = {entry} {comment(said)}"
+            yield Todo(name, entry, evidence) if not guess.unit else f"{name} = {entry} {comment(evidence)}"
             continue
         yield comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
         yield f"# {name} = {entry}"
         if name in NEEDED:
             yield _absent(name, place, "what the file has was not taken")
     if unknown:
-        rest = [n for n in STANDARD_CHANNELS if n not in found]
+        rest = [n for n in STANDARD_CHANNELS if n not in guesses]
         yield "# Columns that nothing was guessed for. Names that are still free:"
         for begin in range(0, len(rest), 10):
             yield f"# {', '.join(rest[begin : begin + 10])}"
@@ -355,8 +355,8 @@ def _absent(name: str, place: str, why: str = "was not found in the file") -> st
     standard = STANDARD_CHANNELS.get(name)
     what, unit = (standard.description, standard.unit) if standard else ("total net thrust", "N")
     if name in ACCELERATIONS:
-        said = f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:"
-        return f'{comment(said)}\n# {name} = {{ {place} = "...", unit = "{unit}" }}'
+        remark = f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:"
+        return f'{comment(remark)}\n# {name} = {{ {place} = "...", unit = "{unit}" }}'
     return Todo(name, f'{{ {place} = "TODO", unit = "{unit}" }}', f"{what}; {why}")
 
 
@@ -370,8 +370,8 @@ def _implausible(name: str, guess: Guess) -> str:
     return f"{x.min():.4g} to {x.max():.4g} {STANDARD_CHANNELS[name].unit} is beyond any flight"
 
 
-def _taken(found: Mapping[str, Guess]) -> set[str]:
-    return {name for name, guess in found.items() if not _implausible(name, guess)}
+def _taken(guesses: Mapping[str, Guess]) -> set[str]:
+    return {name for name, guess in guesses.items() if not _implausible(name, guess)}
 
 
 SUMS = {
@@ -382,30 +382,30 @@ SUMS = {
 }
 
 
-def sums_block(found: Mapping[str, Guess]) -> Iterator[str]:
+def sums_block(guesses: Mapping[str, Guess]) -> Iterator[str]:
     """Lines of `[sums]`: what the left and the right one make together."""
-    halves = [name for name in SUMS if _both(found, name) and not (name == "elevon" and "elevator" in found)]
+    halves = [name for name in SUMS if _both(guesses, name) and not (name == "elevon" and "elevator" in guesses)]
     halves = [name for name in halves if not (name == "elevon" and "elevator" in halves)]
     if halves:
         yield from ("[sums]", *(SUMS[name] for name in halves), "")
 
 
-def _both(found: Mapping[str, Guess], name: str) -> bool:
+def _both(guesses: Mapping[str, Guess], name: str) -> bool:
     """Whether the left and the right one were found and not what they make together."""
-    return name not in found and {f"{name}_left", f"{name}_right"} <= _taken(found)
+    return name not in guesses and {f"{name}_left", f"{name}_right"} <= _taken(guesses)
 
 
-def _derivable(found: Mapping[str, Guess]) -> dict[str, str]:
+def _derivable(guesses: Mapping[str, Guess]) -> dict[str, str]:
     """Channels that are not in the file and can be formed from it, each by the best rule."""
-    have = _taken(found)
+    have = _taken(guesses)
     formed = {n: [rule for rule, needs in rules.items() if set(needs) <= have] for n, rules in RULES.items()}
     return {name: rules[0] for name, rules in formed.items() if rules and name not in have}
 
 
-def constants_block(found: Mapping[str, Guess]) -> Iterator[str]:
+def constants_block(guesses: Mapping[str, Guess]) -> Iterator[str]:
     """Lines of `[derived]` and `[constants]`: channels that the file lacks, formed from others, or held."""
-    derived = _derivable(found)
-    absent = [name for name in RULES if name not in found and name not in derived]
+    derived = _derivable(guesses)
+    absent = [name for name in RULES if name not in guesses and name not in derived]
     if not derived and absent:
         yield "# Where the altitude is recorded these can be formed from it (standard atmosphere):"
         yield "# [derived]"
@@ -415,40 +415,40 @@ def constants_block(found: Mapping[str, Guess]) -> Iterator[str]:
         yield "# Formed from other channels. The day's air is unlike a standard one by some per cent."
         yield "[derived]"
         for name, rule in derived.items():
-            yield f'{name} = "{rule}" # guess; {"what the file has was not taken" if name in found else "not found"}'
+            yield f'{name} = "{rule}" # guess; {"what the file has was not taken" if name in guesses else "not found"}'
         yield ""
     lines: list[str] = []
-    engine = next((name for name in ENGINE if name in found), None)
-    if engine and not any(name.startswith("thrust") for name in found):
+    engine = next((name for name in ENGINE if name in guesses), None)
+    if engine and not any(name.startswith("thrust") for name in guesses):
         yield f"# Thrust may be read off a table over {engine} instead; see [tables.NAME] in the reference of the card."
-    if "density" not in found and "density" not in derived:
+    if "density" not in guesses and "density" not in derived:
         what = 'of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found'
         lines.append(Todo("density", '"TODO"', what))
-    if "thrust" not in found and not _taken(found) >= {"thrust_left", "thrust_right"}:
-        sides = " and ".join(name for name in ("thrust_left", "thrust_right") if name in found)
+    if "thrust" not in guesses and not _taken(guesses) >= {"thrust_left", "thrust_right"}:
+        sides = " and ".join(name for name in ("thrust_left", "thrust_right") if name in guesses)
         was = f"only {sides} was, or not taken" if sides else "was not found in the file"
         lines.append(Todo("thrust", '"TODO"', f'total net thrust, e.g. "2500 N"; {was}. Drag is as good as this'))
     zero = '"0 rad/s" # guess: found under no heading, taken as zero'
-    lines += [f"{name} = {zero}" for name in LATERAL if name not in found]
-    level = [name for name in LEVEL if name not in found]
-    if level and "theta" in found and "altitude" in found:  # the flight path needs them
-        if all(np.nanstd(found[name].si) < STILL for name in LATERAL if name in found):
-            said = "guess: found under no heading; it did not roll or yaw"
-            lines += [f'{name} = "0 {LEVEL[name]}" # {said}' for name in level]
+    lines += [f"{name} = {zero}" for name in LATERAL if name not in guesses]
+    level = [name for name in LEVEL if name not in guesses]
+    if level and "theta" in guesses and "altitude" in guesses:  # the flight path needs them
+        if all(np.nanstd(guesses[name].si) < STILL for name in LATERAL if name in guesses):
+            remark = "guess: found under no heading; it did not roll or yaw"
+            lines += [f'{name} = "0 {LEVEL[name]}" # {remark}' for name in level]
         else:
-            said = "found under no heading, and it rolled or yawed. Sensors go unchecked."
-            lines.append(f"# {', '.join(level)}: {said}")
+            remark = "found under no heading, and it rolled or yawed. Sensors go unchecked."
+            lines.append(f"# {', '.join(level)}: {remark}")
     if lines:
         yield from ("# Held constant over the record, for want of a channel.", "[constants]", *lines, "")
 
 
-def sensors_block(found: Mapping[str, Guess]) -> Iterator[str]:
+def sensors_block(guesses: Mapping[str, Guess]) -> Iterator[str]:
     """Lines of `[sensors]`: what is white in the record."""
     yield "# Standard deviations of the sensors' white noise; data sheets know better."
     yield "[sensors]"
-    asked = FORMED_FROM[Axis.LATERAL] if has_lateral(found) else REQUIRED
-    wanted = {n: g for n, g in found.items() if n in asked and not _implausible(n, g)}
-    for name, guess in wanted.items() if "time" in found else ():
+    channels = FORMED_FROM[Axis.LATERAL] if has_lateral(guesses) else REQUIRED
+    wanted = {n: g for n, g in guesses.items() if n in channels and not _implausible(n, g)}
+    for name, guess in wanted.items() if "time" in guesses else ():
         deviation = noise_of(guess.si)
         if deviation > 0.5 * quantum(guess.si) and guess.unit is not None:  # less is rounding of a computed signal
             source = STANDARD_CHANNELS[name].unit if name in STANDARD_CHANNELS else "N"
@@ -503,16 +503,16 @@ def comment(words: str) -> str:
     return "# " + " ".join("".join(c if c.isprintable() else " " for c in words).split())
 
 
-def has_lateral(found: Mapping[str, Guess]) -> bool:
+def has_lateral(guesses: Mapping[str, Guess]) -> bool:
     """Whether the channels of the lateral axis are there: six coefficients can be formed and explained."""
-    return set(MEASURED) <= set(found) and ("aileron" in found or {"aileron_left", "aileron_right"} <= set(found))
+    return set(MEASURED) <= set(guesses) and ("aileron" in guesses or {"aileron_left", "aileron_right"} <= set(guesses))
 
 
-def model_block(found: Mapping[str, Guess], mach: bool) -> Iterator[str]:
+def model_block(guesses: Mapping[str, Guess], mach: bool) -> Iterator[str]:
     """Lines of `[model]`: the demo aircraft's effects, as far as the record can tell them; `mach`: it is known."""
-    reached = float(found["alpha"].si.max()) if "alpha" in found else 0.0
-    lateral, stall = has_lateral(found), "" if reached > STALLED else "# "
-    rolls = lateral and float(np.nanstd(found["p"].si)) > ROLLS
+    reached = float(guesses["alpha"].si.max()) if "alpha" in guesses else 0.0
+    lateral, stall = has_lateral(guesses), "" if reached > STALLED else "# "
+    rolls = lateral and float(np.nanstd(guesses["p"].si)) > ROLLS
     mark = "" if rolls or not lateral else "# "
     yield "# bayes-aero effects lists all; diagnose looks for those that are missing."
     yield "[model]"
@@ -521,13 +521,13 @@ def model_block(found: Mapping[str, Guess], mach: bool) -> Iterator[str]:
         yield f'{mark}axes = ["{Axis.LONGITUDINAL}", "{Axis.LATERAL}"]'
     yield "effects = ["
     yield f'  "{ATTACHED[0]}",'
-    spread = {n: float(np.ptp(found[n].si)) for n in ("mach", "airspeed") if n in found}
+    spread = {n: float(np.ptp(guesses[n].si)) for n in ("mach", "airspeed") if n in guesses}
     # Whether a lift slope over Mach number can be told from one over nothing.
     moves = mach and spread.get("mach", spread.get("airspeed", 0.0) / SOUND) > MACH_MOVES
     remark = "the Mach number hardly moves in this record" if mach else "needs the Mach number"
     yield '  "mach_lift",' if moves else f'#   "mach_lift", # {remark}'
     yield from (f'  "{name}",' for name in ATTACHED[1:])
-    if "alpha" in found:
+    if "alpha" in guesses:
         holds = "no" if stall else "a"
         yield f"# guess: alpha reaches {np.rad2deg(reached):.3g} deg, so {holds} stall is in the record:"
     else:

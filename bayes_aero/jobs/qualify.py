@@ -145,14 +145,14 @@ def _segments(
     source: FinishedResult, card: Card, records: Sequence[FlightRecord], outputs: tuple[str, ...] = ()
 ) -> tuple[SegmentTrajectories, dict[str, float]]:
     """Whole manoeuvres with the outputs that have a tolerance, and half the widths of their bands, SI."""
-    found = source.identified
-    if isinstance(found, IdentifiedLinear):
-        flights, _ = despiked(join(records, card, found.rows.inputs))
-        dynamics: Dynamics = found.dynamics(flights)
+    identified = source.identified
+    if isinstance(identified, IdentifiedLinear):
+        flights, _ = despiked(join(records, card, identified.rows.inputs))
+        dynamics: Dynamics = identified.dynamics(flights)
     else:
         flights, _ = despiked(join(records, card, FLIGHT))
-        dynamics = aircraft_dynamics(found.model, flights)
-    theta = np.array([found.values[name] for name in dynamics.names])
+        dynamics = aircraft_dynamics(identified.model, flights)
+    theta = np.array([identified.values[name] for name in dynamics.names])
     there = [n for n in dynamics.outputs if n in flights.channels]
     bands = {n: card.tolerances[n].value for n in there if n in card.tolerances}
     for name in outputs:
@@ -171,32 +171,32 @@ def outside_region(
 ) -> tuple[tuple[Outside, ...], Region]:
     """Where recorded and simulated motions leave the flown region; it has no channels where none was recorded."""
     every = [flown.flights.channels] + ([] if tested is None else [tested.flights.channels])
-    shared = set.intersection(*(set(one) for one in every))
+    shared = set.intersection(*(set(channels) for channels in every))
     region = Region.of({n: np.asarray(x) for n, x in flown.flights.channels.items() if n in shared})
-    found = []
+    departures = []
     for strip in strips:
         if strip.kind is FlightKind.NEXT or not region.channels:
             continue
         flights = (tested if strip.kind is FlightKind.TEST and tested is not None else flown).flights
-        own = flights.manoeuvre == flights.names.index(strip.manoeuvre)
-        recorded = {n: np.asarray(x)[own] for n, x in flights.channels.items() if n in region.channels}
+        samples = flights.manoeuvre == flights.names.index(strip.manoeuvre)
+        recorded = {n: np.asarray(x)[samples] for n, x in flights.channels.items() if n in region.channels}
         simulated = recorded | {n: x for n, x in strip.simulated.items() if n in recorded}
         if "mach" in recorded and "airspeed" in strip.simulated:  # it goes with the airspeed
             simulated["mach"] = recorded["mach"] * strip.simulated["airspeed"] / strip.measured["airspeed"]
         if strip.kind is FlightKind.TEST:
-            found.append(region.outside(strip.manoeuvre, "recorded", strip.time, recorded))
-        found.append(region.outside(strip.manoeuvre, "simulated", strip.time, simulated))
-    return tuple(one for one in found if one is not None), region
+            departures.append(region.outside(strip.manoeuvre, "recorded", strip.time, recorded))
+        departures.append(region.outside(strip.manoeuvre, "simulated", strip.time, simulated))
+    return tuple(departure for departure in departures if departure is not None), region
 
 
 def limits_of(card: Card, bands: Mapping[str, float], region: Region) -> list[str]:
-    said, names = [], [n for n, t in card.tolerances.items() if n not in bands and t != TOLERANCES.get(n)]
+    limits, names = [], [n for n, t in card.tolerances.items() if n not in bands and t != TOLERANCES.get(n)]
     if names:
-        said.append(f"The tolerance of {several(names)} is not judged: not recorded, or not an output of the model.")
+        limits.append(f"The tolerance of {several(names)} is not judged: not recorded, or not an output of the model.")
     if "alpha" in region.channels:
         alpha = np.degrees(region.points[:, region.channels.index("alpha")].max())
-        said.append(f"The largest angle of attack is {alpha:.1f} deg; Attachment 7 asks for 10 deg beyond the stall.")
-    return said
+        limits.append(f"The largest angle of attack is {alpha:.1f} deg; Attachment 7 asks for 10 deg beyond the stall.")
+    return limits
 
 
 # --- qualification.json.
@@ -205,24 +205,24 @@ RESULTS = "qualification.json"
 
 
 def qualification_results(
-    found: Qualification, card: Card, source: dict[str, Any], failures: Sequence[str] = ()
+    qualification: Qualification, card: Card, source: dict[str, Any], failures: Sequence[str] = ()
 ) -> QualificationDocument:
     tests = []
-    for one in found.tests:
-        chance = {"probability": one.chance.value, "standard_error": one.chance.error, "verdict": one.chance.verdict}
-        tests.append(TestPart.of(one, **chance))
+    for test in qualification.tests:
+        chance = {"probability": test.chance.value, "standard_error": test.chance.error, "verdict": test.chance.verdict}
+        tests.append(TestPart.of(test, **chance))
     return QualificationDocument.of(
-        found,
+        qualification,
         card=card,
-        verdict=found.whole,
+        verdict=qualification.whole,
         thresholds={"passes_from": PASSES_FROM, "fails_to": FAILS_TO},
         tolerances={
-            name: JudgedTolerance.of((value, STANDARD_CHANNELS[name].unit, text, found.verdict(name)))
-            for name, (value, text) in found.tolerances.items()
+            name: JudgedTolerance.of((value, STANDARD_CHANNELS[name].unit, text, qualification.verdict(name)))
+            for name, (value, text) in qualification.tolerances.items()
         },
         tests=tests,
-        flown_region={"channels": found.channels, "not_recorded": found.unjudged},
-        consistency=ConsistencyPart.of(found.consistency),
+        flown_region={"channels": qualification.channels, "not_recorded": qualification.unjudged},
+        consistency=ConsistencyPart.of(qualification.consistency),
         failures=failures,
         provenance=source,
     )
@@ -247,10 +247,10 @@ def uncertain(
         values = posterior_draws(fit, inflation, options.seed, count)
         origin = f"Normal distribution about the estimates, by the trajectories (variances times {inflation:.3g})."
     else:  # what the result does not determine stays at its estimate
-        found = drawn(source, names, count, options.seed)
+        draws = drawn(source, names, count, options.seed)
         values = np.tile(estimate, (count, 1))
-        values[:, [names.index(name) for name in found.names]] = found.values
-        origin = f"{found.origin[0].upper()}{found.origin[1:]}."
+        values[:, [names.index(name) for name in draws.names]] = draws.values
+        origin = f"{draws.origin[0].upper()}{draws.origin[1:]}."
     if source.command == "fly" and not source.filtered:  # output error gave the values
         model = Uncertain(estimate, values, fitted=True)
         model, more = between_manoeuvres(source, model, flown, options.seed, progress)
@@ -265,8 +265,8 @@ def uncertain(
             if following is None
             else f"Partial pooling of the manoeuvres by identify ({NEXT_FLIGHT}).",
         }
-    gusts, stated, said = gusts_of(source, options.gusts)
-    return replace(model, gusts=gusts, met=not stated), {"parameters": origin, **more, "gusts": said}
+    gusts, stated, about_gusts = gusts_of(source, options.gusts)
+    return replace(model, gusts=gusts, met=not stated), {"parameters": origin, **more, "gusts": about_gusts}
 
 
 def between_manoeuvres(
@@ -319,10 +319,10 @@ def drawn_by_identify(
         return None
     with xr.open_datatree(file, engine="h5netcdf") as tree:
         following = tree["posterior"].to_dataset()["next_flight"]
-        known, draws = following["parameter"].values.astype(str), np.asarray(following).reshape(-1, following.shape[-1])
+        order, draws = following["parameter"].values.astype(str), np.asarray(following).reshape(-1, following.shape[-1])
     kept = np.random.default_rng([seed, 11]).choice(len(draws), count, replace=len(draws) < count)
     values = np.tile(estimate, (count, 1))
-    for column, name in enumerate(known):
+    for column, name in enumerate(order):
         values[:, list(names).index(name)] = np.clip(draws[kept, column], *source.identified.bounds[name])
     return values
 
@@ -332,14 +332,14 @@ def gusts_of(source: FinishedResult, stated: float | None) -> tuple[dict[str, fl
     if stated == 0.0:
         return {}, True, "Not counted: calm air was stated."
     if stated is not None:
-        found = dict.fromkeys(GUSTS, stated) | {f"{name}_length": LENGTH for name in GUSTS}
-        return found, True, f"Stated: {stated:g} m/s in every direction, scale length {LENGTH:.0f} m."
+        gusts = dict.fromkeys(GUSTS, stated) | {f"{name}_length": LENGTH for name in GUSTS}
+        return gusts, True, f"Stated: {stated:g} m/s in every direction, scale length {LENGTH:.0f} m."
     if source.linear is not None:
         return {}, True, "Not counted: a linear system does not fly through moving air."
-    told = source.told
+    results = source.told
     if source.filtered:
-        known = {key for name in GUSTS for key in (name, f"{name}_length")}
-        met = {name: float(x) for name, (x, _) in told["process_noise"]["gusts"].items() if name in known}
+        keys = {key for name in GUSTS for key in (name, f"{name}_length")}
+        met = {name: float(x) for name, (x, _) in results["process_noise"]["gusts"].items() if name in keys}
         strong = [f"{name} {met[name]:.2g} m/s" for name in GUSTS if met.get(name, 0.0) > 1e-3]
         if strong:
             return met, False, f"As the fit with process noise found them in the records: {', '.join(strong)}."

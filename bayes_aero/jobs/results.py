@@ -93,7 +93,7 @@ def diagnosis_results(
         sentences=sentences(view),
         causes=[cause_part(cause) for cause in d.causes],
         unexplained=d.unknown,
-        terms=[term_part(one) for one in d.terms],
+        terms=[term_part(term) for term in d.terms],
         cancelling=d.together,
         screening=[
             parts.ScreenedPart.of(s, stage=r.stage, threshold=r.threshold, cause=(r.stage, s.effect) in named)
@@ -115,16 +115,16 @@ def diagnosis_results(
     )
 
 
-def term_part(found: FoundTerm) -> parts.TermPart:
-    term, others = found.term, {term.name: weight for term, weight in found.others}
-    return parts.TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
+def term_part(sized: FoundTerm) -> parts.TermPart:
+    term, others = sized.term, {term.name: weight for term, weight in sized.others}
+    return parts.TermPart.of(sized, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
 
 
 def part_of_errors(tested: Tested | None, compared: str) -> parts.TestedPart:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
         return parts.TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
-    outputs = {n: parts.TestedOutput.of(one, unit=UNITS[n]) for n, one in tested.outputs.items()}
+    outputs = {n: parts.TestedOutput.of(output, unit=UNITS[n]) for n, output in tested.outputs.items()}
     return parts.TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
 
 
@@ -157,12 +157,12 @@ def cause_part(cause: Cause) -> parts.CausePart:
 def trajectories_part(flown: Trajectories | None, card: Card) -> parts.TrajectoriesPart:
     if flown is None:
         return parts.TrajectoriesPart()
-    before, after, asked = flown.card, flown.extended, flown.asked
+    before, after, confirmed = flown.card, flown.extended, flown.asked
     return parts.TrajectoriesPart.of(
         flown,
         status={"card": before.status.name, "extended": after.status.name},
         at_bound={"card": before.at_bound, "extended": after.at_bound},
-        causes={name: parts.KeptPart(*missed, name in asked.kept) for name, missed in asked.missed.items()},
+        causes={name: parts.KeptPart(*missed, name in confirmed.kept) for name, missed in confirmed.missed.items()},
         tolerances=stated_tolerances(card, {name: UNITS[name] for name in flown.outputs}),
         paths=[path_part(parts.ComparedPath, path) for path in flown.paths],
         parameters={
@@ -256,21 +256,21 @@ def _sampled(kind: Any, posteriors: Mapping[str, Posterior], **more: Any) -> Any
     return kind.of(**more | marginals, status=status) if posteriors else UNSET
 
 
-def next_flight_part(found: NextFlight) -> parts.NextFlightPart:
+def next_flight_part(flight: NextFlight) -> parts.NextFlightPart:
     parameters = {
         p.name: parts.NextParameter.of(
             unit=p.unit,
-            aircraft=found.aircraft[p.name],
-            scatter=asdict(found.scatter[p.name]) | {"over_prior": found.narrowed[p.name]},
-            next_flight=found.following[p.name],
-            pooled={m: found.pooled[m][p.name] for m in found.manoeuvres},
-            alone={m: found.alone[m][p.name] for m in found.manoeuvres if p.name in found.alone[m]},
-            undetermined=found.undetermined.get(p.name, ()),
+            aircraft=flight.aircraft[p.name],
+            scatter=asdict(flight.scatter[p.name]) | {"over_prior": flight.narrowed[p.name]},
+            next_flight=flight.following[p.name],
+            pooled={m: flight.pooled[m][p.name] for m in flight.manoeuvres},
+            alone={m: flight.alone[m][p.name] for m in flight.manoeuvres if p.name in flight.alone[m]},
+            undetermined=flight.undetermined.get(p.name, ()),
         )
-        for p in found.parameters
+        for p in flight.parameters
     }
-    status = {"status": found.status.name.lower(), "advice": found.status.value}
-    return parts.NextFlightPart.of(found, likelihood=found.tree.attrs["likelihood"], parameters=parameters, **status)
+    status = {"status": flight.status.name.lower(), "advice": flight.status.value}
+    return parts.NextFlightPart.of(flight, likelihood=flight.tree.attrs["likelihood"], parameters=parameters, **status)
 
 
 def processes_part(report: GPReport) -> parts.ProcessesPart:
@@ -343,22 +343,22 @@ class Flight:
 
 
 def fly_results(
-    found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]
+    flight: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]
 ) -> parts.TrajectoriesDocument:
-    flown, fit = found.flown, found.flown.fit
+    flown, fit = flight.flown, flight.flown.fit
     setting, beliefs = flown.setting, flown.departure_sd
-    of = "process noise" if found.motion and found.motion.filtered else "output error"
+    of = "process noise" if flight.motion and flight.motion.filtered else "output error"
     modes = [
         parts.ModePart.of(mode, eigenvalue=(mode.eigenvalue.real, mode.eigenvalue.imag), **mode.quantities)
-        for mode in (found.motion.modes if found.motion else ())
+        for mode in (flight.motion.modes if flight.motion else ())
     ]
     return parts.TrajectoriesDocument.of(
         flown,
         card=card,
         records=record_parts(records, card),
-        consistency=parts.ConsistencyPart.of(found.consistency),
+        consistency=parts.ConsistencyPart.of(flight.consistency),
         status=fit.status.name.lower(),
-        sentences=found.sentences,
+        sentences=flight.sentences,
         fitted_outputs=fit.flown.outputs,
         setting=parts.SettingPart(
             FREE if setting.initial is None else FIXED, setting.priors, HELD if setting.held else LINEAR
@@ -367,11 +367,11 @@ def fly_results(
         parameters=parameter_rows(flown),
         covariance=fit.corrected,
         inseparable=inseparable_parts(fit.inseparable),
-        disagreement=found.apart,
-        process_noise=found.process_noise or UNSET,
-        posterior=_sampled(parts.FlownPosterior, found.posteriors, **dict.fromkeys(SAMPLERS, UNSET)),
+        disagreement=flight.apart,
+        process_noise=flight.process_noise or UNSET,
+        posterior=_sampled(parts.FlownPosterior, flight.posteriors, **dict.fromkeys(SAMPLERS, UNSET)),
         frequency=[frequency_part(fit) for fit in flown.frequency] or UNSET,
-        motion=parts.MotionPart.of(found.motion, modes=modes, estimates=of) if found.motion else UNSET,
+        motion=parts.MotionPart.of(flight.motion, modes=modes, estimates=of) if flight.motion else UNSET,
         initial_states={
             manoeuvre: {n: parts.InitialState(*x, flown.units.get(n, "1"), beliefs.get(n)) for n, x in states.items()}
             for manoeuvre, states in flown.initial.items()
@@ -379,7 +379,7 @@ def fly_results(
         residual_sd=dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),
         tolerances=stated_tolerances(card, {name: flown.units[name] for name in flown.outputs}),
         paths=[path_part(parts.FlownPath, path, flown.units) for path in flown.paths],
-        **picked(found, "health", "notes", "failures"),
+        **picked(flight, "health", "notes", "failures"),
         provenance=source,
     )
 
@@ -412,23 +412,23 @@ def identified(run: Identification) -> Histories:
 
 def flights(paths: Iterable[SimulatedManoeuvre], units: Mapping[str, str] | None = None) -> Histories:
     """Outputs as measured and by each model, a group for each split; `units` (SI) of channels that are not standard."""
-    known = units or UNITS
+    si_units = units or UNITS
     splits: dict[str, dict[str, dict[str, SimulatedManoeuvre]]] = {}
     for path in paths:
         splits.setdefault(path.split, {}).setdefault(path.manoeuvre, {})[path.model] = path
-    found = {}
+    groups = {}
     for split, named in splits.items():
         firsts = [next(iter(models.values())) for models in named.values()]
         columns: dict[str, tuple[np.ndarray, str]] = {}
         for n in firsts[0].measured:
-            columns[column(n, "measured")] = np.concatenate([p.measured[n] for p in firsts]), known[n]
+            columns[column(n, "measured")] = np.concatenate([p.measured[n] for p in firsts]), si_units[n]
             for model in next(iter(named.values())):
                 simulated = [models[model].simulated[n] for models in named.values()]
-                columns[column(n, model)] = np.concatenate(simulated), known[n]
+                columns[column(n, model)] = np.concatenate(simulated), si_units[n]
         manoeuvre = np.repeat(np.arange(len(firsts)), [len(p.time) for p in firsts])
         time = np.concatenate([p.time for p in firsts])
-        found[f"trajectories_{split}"] = _group(columns, tuple(named), manoeuvre, time)
-    return found
+        groups[f"trajectories_{split}"] = _group(columns, tuple(named), manoeuvre, time)
+    return groups
 
 
 def column(output: str, kind: str) -> str:

@@ -79,9 +79,9 @@ def plain(content: Any) -> Any:
     return json.loads(msgspec.json.encode(content, enc_hook=simple))
 
 
-def picked(found: Any, *names: str) -> dict[str, Any]:
-    """What `found` has under these names, as a part of a JSON document; a rename is written "key=name"."""
-    rows = {key: getattr(found, name or key) for key, _, name in (name.partition("=") for name in names)}
+def picked(source: Any, *names: str) -> dict[str, Any]:
+    """What `source` has under these names, as a part of a JSON document; a rename is written "key=name"."""
+    rows = {key: getattr(source, name or key) for key, _, name in (name.partition("=") for name in names)}
     return {key: list(value) if isinstance(value, tuple) else value for key, value in rows.items()}
 
 
@@ -112,7 +112,7 @@ class Growing(Generic[Result]):
     def attempt(self, what: str, do: Callable[[], Any], otherwise: Any = None, *, bad: str = "") -> Any:
         """What `do` returns or, if it fails unexpectedly or by bad input with a form `bad` of a note, `otherwise`."""
         try:
-            value, failed = attempted(what, do, otherwise, self.out, own=bool(self.card.effect_files))
+            value, failed = attempted(what, do, otherwise, self.out, user_code=bool(self.card.effect_files))
         except InputError as error:
             if not bad:
                 raise
@@ -236,10 +236,10 @@ def read_result(file: Path) -> Mapping[str, Any]:
     try:
         if file.stat().st_size > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES} bytes")
-        told = json.loads(file.read_text(encoding="utf-8"))
+        document = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as reason:
         raise InputError(f"{file} cannot be read ({reason}); give the result of a finished run") from None
-    kind = str(told.get("schema", "")).split("/")[:2] if isinstance(told, dict) else []
+    kind = str(document.get("schema", "")).split("/")[:2] if isinstance(document, dict) else []
     if kind not in (["bayes_aero", name] for name in ("results", "trajectories", "diagnosis")):
         raise InputError(f"{file} is no result of identify, fly or diagnose; give the folder of one")
-    return told
+    return document

@@ -208,8 +208,8 @@ def lift_regression(
     rotation = Rotation(*turning, *_each(lambda x: differentiate_joined(x, dt, first, last), turning))
     arm_x, _, arm_z = lever_arm(rotation, accelerometer)
     at_cg = (s["az"] - arm_z) * lib.cos(s["alpha"]) - (s["ax"] - arm_x) * lib.sin(s["alpha"])
-    known = smooth(at_cg / s["airspeed"])  # the part of alpha-dot due to specific force at the CG
-    response = fast(known, known)
+    forced = smooth(at_cg / s["airspeed"])  # the part of alpha-dot due to specific force at the CG
+    response = fast(forced, forced)
     knots = lib.quantile(smoothed["alpha"], np.array(KNOTS))
     before = part = lib.zeros_like(base)
     share = lib.zeros(0)
@@ -307,13 +307,13 @@ def motion_of_aircraft(
     pressure = 0.5 * air["density"] * jnp.square(air["airspeed"])
     down = path["down"] if "down" in path else down_of(path["phi"], path["theta"])
 
-    def forces(known: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+    def forces(modelled: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         if Axis.LONGITUDINAL in axes:
-            fx, fz = specific_force(known["CL"], known["CD"], air["alpha"], pressure, air["thrust"], aircraft)
+            fx, fz = specific_force(modelled["CL"], modelled["CD"], air["alpha"], pressure, air["thrust"], aircraft)
         else:
             fx, fz = path["force_x"], path["force_z"]
         if Axis.LATERAL in axes:
-            return fx, pressure * aircraft.wing_area * known["CY"] / aircraft.mass, fz
+            return fx, pressure * aircraft.wing_area * modelled["CY"] / aircraft.mass, fz
         if "ay" in path:
             p_dot, q_dot, r_dot = (path.get(f"{n}_dot", nothing) for n in RATES)
             spin = Rotation(path["p"], path["q"], path["r"], p_dot, q_dot, r_dot)
@@ -326,14 +326,14 @@ def motion_of_aircraft(
         rate = alpha_dot(lambda rate: motion_over_ground(path, forces(flow(rate)), down)["alpha"])
     else:
         rate = None
-    known = flow(nothing if rate is None else rate)
-    force = forces(known)
+    quantities = flow(nothing if rate is None else rate)
+    force = forces(quantities)
     rates = motion_over_ground(path, force, down)
     rates |= {} if rate is None else {"alpha": rate}
     given = {f"{n}_dot": path.get(f"{n}_dot", nothing) for n in RATES if n in prescribed}
-    acting = moments(known, force, air, aircraft)
+    acting = moments(quantities, force, air, aircraft)
     rotation = angular_accelerations(acting, tuple(path[n] for n in RATES), aircraft, given)  # type: ignore[arg-type]
-    return AircraftMotion(known, force, rates, rotation)
+    return AircraftMotion(quantities, force, rates, rotation)
 
 
 def accelerometers(now: AircraftMotion, path: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:

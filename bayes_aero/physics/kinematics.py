@@ -96,9 +96,9 @@ def integral(
     rate: Float[AnyArray, "*r n"], dt: Float[AnyArray, " n"], start: Bool[AnyArray, " n"], first: Int[AnyArray, " n"]
 ) -> Float[AnyArray, "*r n"]:
     """Running trapezoidal integral, anew from zero in each manoeuvre (`start` marks, `first` indexes its beginning)."""
-    own = namespace(rate, dt)
-    before = own.concatenate([rate[..., :1], rate[..., :-1]], axis=-1)
-    total = own.cumsum(own.where(start, 0.0, 0.5 * dt * (rate + before)), axis=-1)
+    lib = namespace(rate, dt)
+    before = lib.concatenate([rate[..., :1], rate[..., :-1]], axis=-1)
+    total = lib.cumsum(lib.where(start, 0.0, 0.5 * dt * (rate + before)), axis=-1)
     return total - total[..., first]
 
 

@@ -169,6 +169,6 @@ class Qualification:
     @property
     def whole(self) -> ToleranceVerdict:
         """Of the model: it fails where one tolerance does, and passes where all do."""
-        found = {self.verdict(output) for output in self.tolerances}
+        verdicts = {self.verdict(output) for output in self.tolerances}
         worst_first = (ToleranceVerdict.FAILS, ToleranceVerdict.UNDECIDED, ToleranceVerdict.PASSES)
-        return next(verdict for verdict in worst_first if verdict in found)
+        return next(verdict for verdict in worst_first if verdict in verdicts)

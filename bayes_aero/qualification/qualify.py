@@ -72,8 +72,8 @@ def gust_spread(
 ) -> Drawn:
     """What gusts add to flights with drawn parameters, SI, begun in gusts of their own distribution; else calm air."""
     gusty = disturbed(alone)
-    free, own = gusty.dynamics.free, gusty.dynamics.disturbance_parameters
-    calm = {p.name: 0.0 if p.neutral == 0.0 else p.start for p in free if p.name in own}
+    free, of_gusts = gusty.dynamics.free, gusty.dynamics.disturbance_parameters
+    calm = {p.name: 0.0 if p.neutral == 0.0 else p.start for p in free if p.name in of_gusts}
     n, s = alone.index.shape[1], len(gusty.dynamics.states)
 
     def added(job: tuple[Vector, np.ndarray]) -> Float[np.ndarray, "n c"]:
@@ -145,7 +145,7 @@ class Structure:
         white = np.mean((fast * (1.0 + growth * separated[inside][:, None])) ** 2, axis=0)
         total = np.maximum(np.mean(errors[inside] ** 2, axis=0) - white, 1e-300)
         left = np.maximum(1.0 - explained / total, 0.0)
-        gained = np.array([_mean_square_from_zero(one, [len(means) for means, _ in parts]) for one in phi])
+        gained = np.array([_mean_square_from_zero(row, [len(means) for means, _ in parts]) for row in phi])
         return cls(phi, np.sqrt(slow * left / gained), fast, growth, SIZES * len(errors), left)
 
     def draws(
@@ -301,16 +301,16 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         return np.average(parts, axis=0, weights=flown.inside.sum(axis=1))
 
     by_gusts = explained(unknown.draws, gusts=True) if unknown.gusts and unknown.met else nothing
-    own = nothing if unknown.fitted else explained(unknown.draws)
-    unseen, explained_unseen = unknown.hold_out or (fitted, own)
+    by_parameters = nothing if unknown.fitted else explained(unknown.draws)
+    unseen, explained_unseen = unknown.hold_out or (fitted, by_parameters)
 
     def structure(error: Float[np.ndarray, "w n c"], explained: Float[np.ndarray, " c"]) -> Structure:
         shown, least = (np.mean(x[flown.inside] ** 2, axis=0) for x in (error, fitted))
-        most = np.maximum(shown - np.maximum(least - own - by_gusts, 0.0), 0.0)
+        most = np.maximum(shown - np.maximum(least - by_parameters - by_gusts, 0.0), 0.0)
         taken = np.minimum(explained + by_gusts, most)
         return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), taken)
 
-    again = structure(fitted, own)
+    again = structure(fitted, by_parameters)
     cases: list[_Case] = [(FlightKind.AGAIN, flown, k, unknown.draws, again) for k in range(len(flown.index))]
     left_out = structure(unseen, explained_unseen)
     if tests is not None:
@@ -394,8 +394,8 @@ def further_flights(
     moving = np.flatnonzero(scale > 0.0)
     names, errors = [names[int(k)] for k in moving], errors[:, moving] / scale[moving]
     slopes = [test.slope(errors) for test in tests]
-    known = [test.probability(-errors @ slope) for test, slope in zip(tests, slopes, strict=True)]
-    useful = [k for k, chance in enumerate(known) if not qualification.FAILS_TO < chance < qualification.PASSES_FROM]
+    present = [test.probability(-errors @ slope) for test, slope in zip(tests, slopes, strict=True)]
+    useful = [k for k, chance in enumerate(present) if not qualification.FAILS_TO < chance < qualification.PASSES_FROM]
     first = np.cov(errors, rowvar=False).reshape(len(names), len(names))
     worst = np.array([slopes[k][:, tests[k].worst] for k in useful]).reshape(-1, len(names))
     worst = worst[np.einsum("ti,ij,tj->t", worst, first, worst) > 0.0]
@@ -424,7 +424,7 @@ def further_flights(
         possible = [x._replace(information=precision_of(x.information, names, scale[moving])) for x in flown]
         refused = refused_points(variants, envelope)
         points = best_points(possible, np.zeros_like(first), nats=nats, expected=expected, decided=decided)
-    pairs = zip(tests, known, strict=True)
+    pairs = zip(tests, present, strict=True)
     about = [(t.kind, t.manoeuvre, t.output, t.probability(), chance) for t, chance in pairs]
     return qualification.Further(tuple(qualification.OpenTolerance(*x) for x in about), tuple(points), refused)
 

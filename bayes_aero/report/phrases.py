@@ -73,9 +73,9 @@ def sentence(key: str, /, **values: Any) -> str:
     return message
 
 
-def is_doubtful(said: str) -> bool:
+def is_doubtful(text: str) -> bool:
     """Whether a sentence is a message of the table and more than an answer."""
-    return isinstance(said, Message) and said.severity != "finding"
+    return isinstance(text, Message) and text.severity != "finding"
 
 
 def for_people(unit: str) -> tuple[str, float]:

@@ -110,9 +110,9 @@ def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> In
     keep: Bool[np.ndarray, " n"] = np.zeros(n, bool)
     keep[[0, -1]] = True
     for values in columns:
-        own, finite = values[stretches], np.isfinite(values)[stretches]
-        keep[stretches[row, np.argmin(np.where(finite, own, np.inf), axis=1)]] = True
-        keep[stretches[row, np.argmax(np.where(finite, own, -np.inf), axis=1)]] = True
+        blocks, finite = values[stretches], np.isfinite(values)[stretches]
+        keep[stretches[row, np.argmin(np.where(finite, blocks, np.inf), axis=1)]] = True
+        keep[stretches[row, np.argmax(np.where(finite, blocks, -np.inf), axis=1)]] = True
     return np.flatnonzero(keep)
 
 

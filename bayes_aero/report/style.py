@@ -104,8 +104,8 @@ class MeasuredOnce(LayoutEngine):
             boxes = [axis.get_tightbbox(for_layout_only=True) for axis in (ax.xaxis, ax.yaxis)]
             legend = ax.get_legend()
             shown = [*ax.texts, ax.title, *([] if legend is None else [legend])]
-            for room, found in ((ticks, boxes), (others, [artist.get_window_extent() for artist in shown])):
-                outer = Bbox.union([ax.bbox, *(box for box in found if box is not None)])
+            for room, extents in ((ticks, boxes), (others, [artist.get_window_extent() for artist in shown])):
+                outer = Bbox.union([ax.bbox, *(box for box in extents if box is not None)])
                 beyond = np.abs(np.subtract(ax.bbox.extents, outer.extents)) / fig.dpi
                 room[range(4), at] = np.maximum(room[range(4), at], beyond)
         left, below, right, above = np.maximum(ticks + names, others)

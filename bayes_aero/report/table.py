@@ -113,10 +113,10 @@ class Table:
         import pandas as pd
 
         filed = {name: [math.nan if x is None else x for x in values] for name, values in self._filed().items()}
-        found, names = pd.DataFrame(filed), list(filed)
+        frame, names = pd.DataFrame(filed), list(filed)
         several = [name for name in names if any(isinstance(x, list) for x in filed[name])]
-        found = found.explode(several).infer_objects() if several else found
-        return found.set_index(names[: self.index]) if self.index else found
+        frame = frame.explode(several).infer_objects() if several else frame
+        return frame.set_index(names[: self.index]) if self.index else frame
 
     def terminal(self) -> rich.Table:
         space = (0, 0 if self.dense else 1, 0, 0)
@@ -152,17 +152,17 @@ class Table:
 
 def table(key: str, columns: Sequence[Column], /, **values: Any) -> Table:
     """A `Table` whose titles and notes `words.toml` has, with their values; `index`, `below`, `dense` are its own."""
-    own = {name: values[name] for name in ("index", "below", "dense") if name in values}
+    layout = {name: values[name] for name in ("index", "below", "dense") if name in values}
     texts: dict[str, Any] = {name: filled(text, **values) for name, text in WORDS["tables"][key].items()}
     if both := texts.pop("both", ""):
         texts |= {"note": both, "terminal_note": both}
-    return Table(columns, **own, **texts)
+    return Table(columns, **layout, **texts)
 
 
 def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = plus_minus, between: str = "; ") -> str:
     """A value as people read it, a dash where there is none; several of them with `between` between them."""
     if isinstance(value, list):
-        return between.join(cell_text(one, form, estimate, between) for one in value)
+        return between.join(cell_text(element, form, estimate, between) for element in value)
     if isinstance(value, BeforeAfter):
         return " → ".join(cell_text(part, form) for part in value)
     size = value.centre if isinstance(value, Estimate) else value

@@ -245,17 +245,17 @@ class Synthetic:
     notes: tuple[str, ...]
 
 
-def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], name: str = "simulated") -> Synthetic:
-    """Fly and record; `known` are the effects that may be asked for. `InputError` where it cannot be flown."""
+def synthetic(request: demo.Request, card: Card, catalogue: Mapping[str, Effect], name: str = "simulated") -> Synthetic:
+    """Fly and record; `catalogue`: the effects that may be asked for. `InputError` where it cannot be flown."""
     demo.refuse(request, card)
     rng = np.random.default_rng([request.seed, 7])
     rigid = Axis.LATERAL in card.axes
     base = (*read_card("attas").effects, *(demo.LATERAL_EFFECTS if rigid else ()))
     # errors of sensors that the card fixes: its model takes them out of every record, so a record has them
-    errors = [known[n] for n in card.effects if n in known and known[n].stage is Stage.CHANNEL and known[n].parameters]
+    errors = [e for e in map(catalogue.get, card.effects) if e and e.stage is Stage.CHANNEL and e.parameters]
     fixed = [e for e in errors if all(p.name in card.fixed for p in e.parameters)]
     installed = [e.name for e in fixed if not e.absent_in(card.fixed)]
-    chosen = [known[n] for n in dict.fromkeys((*base, *installed, *request.effects))]
+    chosen = [catalogue[n] for n in dict.fromkeys((*base, *installed, *request.effects))]
     axes, signals = (tuple(Axis), steady.SIGNALS | {"aileron"}) if rigid else ((Axis.LONGITUDINAL,), steady.SIGNALS)
     for effect in chosen:
         steady.refuse_unsimulated(effect, signals)
@@ -263,7 +263,7 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
     faults = [e for e in chosen if e.stage is Stage.CHANNEL]
     values = {name: x for e in chosen for name, x in e.neutral_values.items()}
     values |= demo.TRUTH | demo.LATERAL_TRUTH if rigid else demo.TRUTH
-    values |= {p.name: card.fixed[p.name] for n in installed for p in known[n].parameters}
+    values |= {p.name: card.fixed[p.name] for n in installed for p in catalogue[n].parameters}
     values |= {p: x for given in request.effects.values() for p, x in given.items()}
     values = {key: jnp.asarray(x, float) for key, x in values.items()}
     aircraft, (time, in_record) = flown_model.actual_aircraft(values, card.aircraft), demo.grid_of(request)
@@ -293,7 +293,7 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
         {key: float(x) for key, x in values.items()},
         {"buffet": request.buffet} | noise,
         {key: scale * x for key, x in deviations.items() if key in (*channels, "thrust")},
-        _notes(request, known, {key: x[in_record] for key, x in true.items()}),
+        _notes(request, catalogue, {key: x[in_record] for key, x in true.items()}),
     )
 
 
@@ -340,16 +340,16 @@ def _air_data(flight: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return air_data | {"calibrated_airspeed": calibrated, "radio_altitude": flight["altitude"]}
 
 
-def _notes(request: demo.Request, known: Mapping[str, Effect], true: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+def _notes(request: demo.Request, catalogue: Mapping[str, Effect], true: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     """Effects whose signals do not move, so that the record cannot show them, and sizes that no aircraft has."""
     notes = []
     for name in request.effects:
-        channels = [] if known[name].stage is Stage.CHANNEL else known[name].channels
+        channels = [] if catalogue[name].stage is Stage.CHANNEL else catalogue[name].channels
         still = [c for c in channels if c in true and np.ptp(true[c]) <= 1e-12]
         if still:
             notes.append(f"effect {name} acts through {', '.join(still)}: at rest in this manoeuvre, so it cannot show")
-        for p in known[name].parameters:
-            most = known[name].sizes.get(p.name, (0.0, float("inf")))[1]
+        for p in catalogue[name].parameters:
+            most = catalogue[name].sizes.get(p.name, (0.0, float("inf")))[1]
             if abs(request.effects[name].get(p.name, p.neutral) - p.neutral) > most:
                 notes.append(f"{p.name} is beyond {most:g}, the largest plausible departure from {p.neutral:g}")
     return tuple(notes)

@@ -241,9 +241,9 @@ def versions_of() -> dict[str, str]:
     """Versions on which numbers depend, and this package's own source."""
     here = environment()
     source, packages = here["bayes_aero"], here["packages"]
-    found = {"Python": ".".join(platform.python_version_tuple()[:2])}
-    found |= {name: packages[name] for name in PACKAGES if name in packages}
-    return found | {"bayes_aero": f"{source['version']} (source {source['source_sha256'][:8]})"}
+    versions = {"Python": ".".join(platform.python_version_tuple()[:2])}
+    versions |= {name: packages[name] for name in PACKAGES if name in packages}
+    return versions | {"bayes_aero": f"{source['version']} (source {source['source_sha256'][:8]})"}
 
 
 def variables() -> dict[str, str]:

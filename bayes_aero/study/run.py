@@ -135,7 +135,7 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
     where, folder = f"study {path}", path.parent
     _known(table, KEYS, where, "key")
     try:
-        asked = msgspec.convert(table, StudyFile)
+        study = msgspec.convert(table, StudyFile)
     except msgspec.ValidationError as reason:
         key = next((key for key in KEYS if f"$.{key}" in str(reason) or f"`{key}`" in str(reason)), None)
         if key is None:
@@ -143,26 +143,26 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
         given = f" and not {table[key]!r}" if key in table else ""
         raise InputError(f"{where}: {key} must be {SHAPES[key]}{given}") from None
     for key in LISTS:
-        most, count = Counter(map(repr, getattr(asked, key))).most_common(1)[0]
+        most, count = Counter(map(repr, getattr(study, key))).most_common(1)[0]
         if count > 1:
             raise InputError(f"{where}: {key} lists {most} twice")
-        if asked.task != "identify" and key in table and key in ("splits", "noise"):
-            raise InputError(f"{where}: {key} is of no use to the task {asked.task}; take it out")
-    options = checked_options(asked.options, asked.task, where)
-    cards = study_cards(asked.cards, folder, where, trust_effects)
-    check_variants(asked.effects, cards, asked.task, where)
+        if study.task != "identify" and key in table and key in ("splits", "noise"):
+            raise InputError(f"{where}: {key} is of no use to the task {study.task}; take it out")
+    options = checked_options(study.options, study.task, where)
+    cards = study_cards(study.cards, folder, where, trust_effects)
+    check_variants(study.effects, cards, study.task, where)
     axes: list[Sequence[Any]] = [
-        record_sets(asked, folder, where),
+        record_sets(study, folder, where),
         list(cards),
-        asked.effects,
-        *((asked.noise, asked.splits) if asked.task == "identify" else ([None], [None])),
-        asked.seeds,
+        study.effects,
+        *((study.noise, study.splits) if study.task == "identify" else ([None], [None])),
+        study.seeds,
     ]
     count = math.prod(map(len, axes))
     if count > MAX_UNITS:
         raise InputError(f"{where}: it makes {count} units, more than {MAX_UNITS}; split it into several studies")
-    units = tuple(unit_of(asked.task, folder, options, choice) for choice in itertools.product(*axes))
-    return Study(path, hashlib.sha256(raw).hexdigest(), asked.title or path.stem, asked.task, units)
+    units = tuple(unit_of(study.task, folder, options, choice) for choice in itertools.product(*axes))
+    return Study(path, hashlib.sha256(raw).hexdigest(), study.title or path.stem, study.task, units)
 
 
 def card_of(unit: Unit) -> Card:
@@ -181,34 +181,34 @@ def unit_of(task: str, folder: Path, options: Mapping[str, Any], choice: Any) ->
     return replace(unit, name=f"{safe_name(words[:MAX_NAME_LENGTH])}-{identity}")
 
 
-def _known(table: Mapping[str, Any], known: Sequence[str], where: str, what: str) -> None:
+def _known(table: Mapping[str, Any], keys: Sequence[str], where: str, what: str) -> None:
     for key in table:
-        if key not in known:
-            close = get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+        if key not in keys:
+            close = get_close_matches(key, keys, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(keys)}"
             raise InputError(f"{where}: unknown {what} {key!r}; {hint}")
 
 
-def record_sets(asked: StudyFile, folder: Path, where: str) -> list[tuple[Path, ...]]:
+def record_sets(study: StudyFile, folder: Path, where: str) -> list[tuple[Path, ...]]:
     sets: list[tuple[Path, ...]] = []
-    for pattern in asked.records:
+    for pattern in study.records:
         if any(c in pattern for c in "*?["):
             start = Path(pattern).anchor
             try:
                 relative = str(Path(pattern).relative_to(start)) if start else pattern
                 there = (Path(start) if start else folder).glob(relative)
-                found = sorted(p.resolve() for p in there if p.is_file() and p.suffix.lower() in READERS)
+                files = sorted(p.resolve() for p in there if p.is_file() and p.suffix.lower() in READERS)
             except (ValueError, OSError) as reason:
                 raise InputError(f"{where}: records {pattern!r} is no pattern of files ({reason})") from None
-            if not found:
+            if not files:
                 ends = f"records end in {', '.join(READERS)}"
                 raise InputError(f"{where}: no record matches {pattern!r} in {folder.resolve()}; {ends}")
         else:
             file = segment_of(folder / pattern).file
             if not is_file(file):
                 raise InputError(f"{where}: record {pattern!r} does not exist in {folder.resolve()}; give its path")
-            found = [Path(str(file.resolve()) + str(folder / pattern).removeprefix(str(file)))]
-        sets += [(path,) for path in found] if asked.one_by_one else [tuple(found)]
+            files = [Path(str(file.resolve()) + str(folder / pattern).removeprefix(str(file)))]
+        sets += [(path,) for path in files] if study.one_by_one else [tuple(files)]
     return list(dict.fromkeys(sets))
 
 
@@ -218,8 +218,8 @@ def study_cards(names: Sequence[str], folder: Path, where: str, trust_effects: b
     for name in names:
         path: Path = shipped_cards().get(name) or folder / name
         if not is_file(path):
-            known = ", ".join(shipped_cards())
-            raise InputError(f"{where}: card {name!r} does not exist; give a .toml file beside the study, or {known}")
+            shipped = ", ".join(shipped_cards())
+            raise InputError(f"{where}: card {name!r} does not exist; give a .toml file beside the study, or {shipped}")
         card = read_card(path.resolve())
         if card.effect_files and not trust_effects:
             files = ", ".join(str(file) for file in card.effect_files)
@@ -297,12 +297,12 @@ def state_of(unit: Unit, folder: Path) -> CaseState:
     if not manifest.is_file():
         return CaseState("missing")
     try:
-        known = json.loads(manifest.read_text(encoding="utf-8"))
-        files, made_from, state = dict(known["files"]), dict(known["made_from"]), str(known["state"])
+        stored = json.loads(manifest.read_text(encoding="utf-8"))
+        files, made_from, state = dict(stored["files"]), dict(stored["made_from"]), str(stored["state"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return CaseState("damaged", f"{MANIFEST} cannot be read")
     if state != "done":
-        return CaseState("failed", str(known.get("error", "")))
+        return CaseState("failed", str(stored.get("error", "")))
     words = []
     for key, now in fingerprint(unit).items():
         if now != (before := made_from.get(key)):
@@ -432,7 +432,7 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> None:
     rows, results = [], []
     for unit in units:
         manifest = _json(folder / unit.name / MANIFEST)
-        found = _json(folder / unit.name / RESULTS[unit.task])
+        document = _json(folder / unit.name / RESULTS[unit.task])
         about = {
             "records": " + ".join(unit.shown),
             "card": unit.card_name,
@@ -442,7 +442,7 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> None:
             "seed": unit.seed,
         }
         state = manifest.get("state", "missing")
-        status = found.get("mle", {}) if unit.task == "identify" else found
+        status = document.get("mle", {}) if unit.task == "identify" else document
         verdict = status.get("verdict" if unit.task == "diagnose" else "status", "")
         rows.append(
             {
@@ -457,7 +457,7 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> None:
             }
         )
         if state == "done":
-            results += [{"unit": unit.name, **about, **row} for row in result_rows(unit.task, found)]
+            results += [{"unit": unit.name, **about, **row} for row in result_rows(unit.task, document)]
     tables = (pd.DataFrame(rows), pd.DataFrame(results, columns=list(RESULT_COLUMNS)))
     for table, name in zip(tables, ("units", "summary"), strict=True):
         text = [c for c in table.columns if c not in NUMBERS]
@@ -475,15 +475,15 @@ def _json(path: Path) -> dict[str, Any]:
 
 def doubts_of(unit: Unit, folder: Path) -> list[str]:
     """What the results of a unit in `folder` say against its records, a sentence each; nothing of sound ones."""
-    found = _json(folder / unit.name / RESULTS[unit.task])
-    said = [str(finding["sentence"]) for finding in found.get("health", ()) if finding["grave"]]
-    outcome = str((found.get("consistency") or {}).get("outcome", ""))
+    document = _json(folder / unit.name / RESULTS[unit.task])
+    sentences = [str(finding["sentence"]) for finding in document.get("health", ()) if finding["grave"]]
+    outcome = str((document.get("consistency") or {}).get("outcome", ""))
     corrected = unit.task == "diagnose" and outcome == "disagree_explained"
     disagree = outcome.startswith("disagree") and not corrected
-    return said + (["the sensors disagree along the flight path (see the unit's report)"] if disagree else [])
+    return sentences + (["the sensors disagree along the flight path (see the unit's report)"] if disagree else [])
 
 
-def result_rows(task: str, found: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def result_rows(task: str, document: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """A row for each parameter and method: fits, the deviation taken in their names, posteriors, causes."""
 
     def row(method: str, parameter: str, unit: str, estimate: Any, status: Any, **more: Any) -> dict[str, Any]:
@@ -492,20 +492,20 @@ def result_rows(task: str, found: dict[str, Any]) -> Iterator[dict[str, Any]]:
         about = {"method": method, "parameter": parameter, "unit_of_value": unit, "value": value, "sd": sd}
         return about | {"low95": low, "high95": high, "status": status} | more
 
-    for cause in found.get("causes", []):
+    for cause in document.get("causes", []):
         for name, size in cause["parameters"].items():
             estimate = (size["mean"], size["sd"], *size["ci95"])
-            yield row(cause["stage"], name, size["unit"], estimate, found.get("verdict"), cause=cause["name"])
-    fit = found.get("mle", {}) if task == "identify" else found
+            yield row(cause["stage"], name, size["unit"], estimate, document.get("verdict"), cause=cause["name"])
+    fit = document.get("mle", {}) if task == "identify" else document
     fitted, methods = fit.get("parameters", {}), {"output_error": "crb", "output_error_corrected": "sd_corrected"}
     methods = {"mle": "crb", "mle_corrected": "crb_corrected"} if task == "identify" else methods
     for name, p in fitted.items():
         for method, key in methods.items():
             yield row(method, name, p["unit"], (p["estimate"], p[key]), fit.get("status"))
-    filtered = found.get("process_noise") or {}
+    filtered = document.get("process_noise") or {}
     for name, estimate in filtered.get("estimates", {}).items():
         yield row("process_noise", name, fitted[name]["unit"], estimate, filtered.get("status"))
-    posterior = found.get("posterior", {}) if task == "identify" else {}
+    posterior = document.get("posterior", {}) if task == "identify" else {}
     for engine, status in posterior.get("status", {}).items():
         for name, m in posterior.get(engine, {}).items():
             unit = fitted[name]["unit"] if name in fitted else "1"
@@ -583,7 +583,7 @@ def run_study(
     except OSError as error:
         raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None
     due = [p for p in planned if p.state.state != "done"]
-    said: dict[str, Mapping[str, Any]] = {}
+    outcomes: dict[str, Mapping[str, Any]] = {}
 
     def one_by_one(work: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
         for number, (given, folder) in enumerate(work):
@@ -597,7 +597,7 @@ def run_study(
 
     try:
         for outcome in (runner or one_by_one)([(p.unit.as_json(), str(p.folder)) for p in due]):
-            said[str(outcome["name"])] = outcome
+            outcomes[str(outcome["name"])] = outcome
     except BaseException:
         with suppress(OSError):  # the reason why the study stopped is reported instead
             write_summary(study.units, out / UNITS, out)
@@ -607,4 +607,4 @@ def run_study(
     except OSError as error:
         why = f"cannot be written ({error.strerror})"
         raise InputError(f"the tables of {out} {why}, but all units are kept; mend that and run it again") from None
-    return said
+    return outcomes

@@ -343,7 +343,7 @@ def bare(card):
 
 def found_in(record: FlightRecord, card) -> tuple[KnownErrors, Consistency]:
     known = errors_of_path(screen_sensor_errors([record], card))
-    return known, consistency([record], card, known=known)
+    return known, consistency([record], card, errors=known)
 
 
 def test_an_offset_of_the_attitude_is_told_with_the_accelerometers_that_look_the_same(bare):

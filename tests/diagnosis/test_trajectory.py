@@ -339,8 +339,8 @@ def test_what_differs_beyond_both_intervals_is_told_and_a_failed_filter_decides_
     assert [fit_disagreements(*fits(**{name: x})) for name, x in unusable.items()] == [()] * 4
     assert disagreement_sentences(()) == []
     disagree, failed = fit_disagreements(*fits()), with_process_noise((4.33, 0.05), converged=False)
-    assert settled_sentences(disagree, failed, (), asked=False) == []
-    assert settled_sentences((), failed, (), asked=True) == []
+    assert settled_sentences(disagree, failed, (), disputed=False) == []
+    assert settled_sentences((), failed, (), disputed=True) == []
 
 
 def with_process_noise(CLa: tuple[float, float], *, converged: bool = True) -> Mock:
@@ -354,10 +354,10 @@ def with_process_noise(CLa: tuple[float, float], *, converged: bool = True) -> M
 def test_the_filter_decides_between_two_fits_that_disagree(CLa, apart, said):
     disagree, filtered = fit_disagreements(*fits()), with_process_noise(CLa)
     assert still_apart(disagree, filtered) == apart
-    (told,) = settled_sentences(disagree, filtered, apart, asked=True)
+    (told,) = settled_sentences(disagree, filtered, apart, disputed=True)
     assert said in told
     assert told.startswith("The coefficients and output error disagree on CLa.")
-    (short,) = settled_sentences(disagree, filtered, apart, asked=False)
+    (short,) = settled_sentences(disagree, filtered, apart, disputed=False)
     assert said in short
     assert "no-process-noise" not in short
 

@@ -208,37 +208,37 @@ CHANNELS = 2  # channels that must agree at least, and that may differ: repaired
 
 def same_records(records: Sequence[FlightRecord]) -> Findings:
     """A finding for each pair of records that share samples: these are compared, not names."""
-    for one, two in combinations(records, 2):
-        if shared := repeats_of(one, two):
+    for original, copy in combinations(records, 2):
+        if shared := repeats_of(original, copy):
             words, at = shared
             words += ", so the flight counts twice and every interval is too narrow; give the flight once"
-            yield finding(two, "record", "same_record", words, at)
+            yield finding(copy, "record", "same_record", words, at)
 
 
-def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, int]] | None:
-    """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing."""
-    names = dict.fromkeys(n for n in (*FIRST, *one.channels) if n in one.channels and n in two.channels)
-    names = [n for n in names if np.ptp(one[n]) > 0.0 and np.ptp(two[n]) > 0.0]
-    slow = max(one.dt, two.dt)
-    every = [round(slow / record.dt) for record in (one, two)]
-    whole = all(abs(k * record.dt - slow) < 1e-3 * slow for k, record in zip(every, (one, two), strict=True))
+def repeats_of(original: FlightRecord, copy: FlightRecord) -> tuple[str, tuple[int, int]] | None:
+    """What the record `copy` repeats of `original`, in words, and its first and last such sample; None if nothing."""
+    names = dict.fromkeys(n for n in (*FIRST, *original.channels) if n in original.channels and n in copy.channels)
+    names = [n for n in names if np.ptp(original[n]) > 0.0 and np.ptp(copy[n]) > 0.0]
+    slow = max(original.dt, copy.dt)
+    every = [round(slow / record.dt) for record in (original, copy)]
+    whole = all(abs(k * record.dt - slow) < 1e-3 * slow for k, record in zip(every, (original, copy), strict=True))
     if len(names) < CHANNELS or max(every) > SLOWER or not whole:
         return None
     for skipped in product(*map(range, every)):  # a copy may be thinned to a lower rate, from any of its samples on
-        x, y = ({n: r[n][s::k] for n in names} for r, s, k in zip((one, two), skipped, every, strict=True))
+        x, y = ({n: r[n][s::k] for n in names} for r, s, k in zip((original, copy), skipped, every, strict=True))
         if shared := _shared(x, y):
             begin, count = shared
             sizes, first = (len(x[names[0]]), len(y[names[0]])), skipped[1] + every[1] * begin
             part = f"is {'' if sizes[0] == sizes[1] else 'part of '}the same record as"
             part = part if count >= min(sizes) - 2 else "shares a part with the record"
-            words = f"{part} {one.name}: {count} samples ({count * slow:.4g} s) are the same samples"
+            words = f"{part} {original.name}: {count} samples ({count * slow:.4g} s) are the same samples"
             return words, (first, first + every[1] * (count - 1))
     return None
 
 
-def _shared(one: Mapping[str, np.ndarray], two: Mapping[str, np.ndarray]) -> tuple[int, int] | None:
-    """The first sample of `two` that `one` has, too, and how many follow; None if there are none."""
-    for a, b in ((np.diff(one[lead]), np.diff(two[lead])) for lead in list(one)[:3]):
+def _shared(original: Mapping[str, np.ndarray], copy: Mapping[str, np.ndarray]) -> tuple[int, int] | None:
+    """The first sample of `copy` that `original` has, too, and how many follow; None if there are none."""
+    for a, b in ((np.diff(original[lead]), np.diff(copy[lead])) for lead in list(original)[:3]):
         # By how many samples b lies behind a where the two correlate best, among overlaps that are long enough.
         lags = np.arange(-(len(b) - 1), len(a))
         matched = np.fft.irfft(np.fft.rfft(a, 2 * len(lags)) * np.fft.rfft(b[::-1], 2 * len(lags)))[: len(lags)]
@@ -252,13 +252,13 @@ def _shared(one: Mapping[str, np.ndarray], two: Mapping[str, np.ndarray]) -> tup
             continue
         begin, end = max(0, -lag), min(len(b) + 1, len(a) + 1 - lag)
         alike = 0
-        for name in one:  # they step alike, noise included, or differ by no more than their last digits
-            x, y = one[name][begin + lag : end + lag], two[name][begin:end]
+        for name in original:  # they step alike, noise included, or differ by no more than their last digits
+            x, y = original[name][begin + lag : end + lag], copy[name][begin:end]
             dx, dy, digit = np.diff(x), np.diff(y), quantum(x) + quantum(y)
             power = np.sqrt(float(dx @ dx) * float(dy @ dy))
             rounded = digit < 0.1 * np.ptp(y) and float(np.max(np.abs(x - y))) <= 0.51 * digit
             alike += rounded or (power > 0.0 and float(dx @ dy) > 0.999 * power)  # which two flights never have
-        if alike >= max(CHANNELS, len(one) - CHANNELS):
+        if alike >= max(CHANNELS, len(original) - CHANNELS):
             return begin, end - begin
     return None
 

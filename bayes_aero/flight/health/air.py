@@ -58,14 +58,14 @@ class _Ratio:
             culprits += [(n, unit) for unit in sorted(left, key=left.__getitem__) if left[unit] < self.limits[1]]
         if not _off(self.k, self.limits) or (not culprits and self.unnamed is None):
             return []
-        said = f"{name} is {self.k:.3g} times {self.meant} throughout"
+        fact = f"{name} is {self.k:.3g} times {self.meant} throughout"
         if not culprits:
             mend = f"correct {' or '.join(self.powers)} in the file, or take it off the card"
-            sentence = f"{said} (no unit explains it); {mend}"
+            sentence = f"{fact} (no unit explains it); {mend}"
             return [health.finding(record, name, "factor", sentence, grave=bool(self.unnamed))]
         channel, unit = culprits[0]
         why = " or ".join(f"{n}, {health.declared(card, n).unit} on the card, is in {u}" for n, u in culprits)
-        sentence = f'{said} ({why}); set unit = "{unit}" for {channel} on the card'
+        sentence = f'{fact} ({why}); set unit = "{unit}" for {channel} on the card'
         return [health.finding(record, channel, "unit", sentence, grave=channel in grave)]
 
 
@@ -263,17 +263,17 @@ def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
     flown: list[tuple[int, int]] = []
     for a, b in (part for part in parts if part[1] - part[0] >= FEWEST):
         part = record.part(slice(a, b))
-        known = not part.has("airspeed") or np.isfinite(part["airspeed"]).all()
-        edges = [0, *(i for first, last in (grounded(part, card) if known else ()) for i in (first, last + 1)), part.n]
+        sound = not part.has("airspeed") or np.isfinite(part["airspeed"]).all()
+        edges = [0, *(i for first, last in (grounded(part, card) if sound else ()) for i in (first, last + 1)), part.n]
         pairs = zip(edges[::2], edges[1::2], strict=True)
         flown += [(a + first, a + after) for first, after in pairs if after - first >= FEWEST]
-    found = [] if flown == [(0, record.n)] else [(a, b, "in flight") for a, b in flown]
+    spans = [] if flown == [(0, record.n)] else [(a, b, "in flight") for a, b in flown]
     for a, b in flown if forward else ():
         moved = [(a + first, a + after) for first, after in _manoeuvres(record.part(slice(a, b)))]
         if len(moved) > 1 or (moved and moved[0][1] - moved[0][0] < 0.8 * (b - a)):
-            found += [(first, after, "manoeuvre") for first, after in moved]
+            spans += [(first, after, "manoeuvre") for first, after in moved]
     proposed = []
-    for a, b, what in found:
+    for a, b, what in spans:
         begin, end = float(record.time[a]), float(record.time[b - 1])
         times = f"{instant(begin)}:{instant(end)}"
         number = None if forward or (a, b) not in parts else parts.index((a, b)) + 1

@@ -209,10 +209,10 @@ def _followed(
         pole, first = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0, np.arange(n) == 0
         bands = np.array([np.ones(n), np.append(np.full(n - 1, -pole), 0.0)])
         driven = np.concatenate([np.where(first, 0.0, (1.0 - pole) * x), [np.where(first, target[delay], 0.0)]])
-        *late, own = solve_banded((1, 0), bands, driven.T, check_finite=False).T
-        late, own = np.array(late), target[delay:] - own
-        weights = np.linalg.lstsq(late @ late.T, late @ own, rcond=None)[0]
-        return weights, own - weights @ late
+        *late, free = solve_banded((1, 0), bands, driven.T, check_finite=False).T
+        late, forced = np.array(late), target[delay:] - free
+        weights = np.linalg.lstsq(late @ late.T, late @ forced, rcond=None)[0]
+        return weights, forced - weights @ late
 
     tried = []
     for delay in (round(d / dt) for d in (0.0, 0.1, 0.2)):
@@ -222,8 +222,8 @@ def _followed(
     # A lag takes noise of the outputs out of fast differences, not out of what is left: it is counted before the lag.
     made = np.abs(weights[: len(columns)])
     noise = float(np.hypot(noise_of(u), np.linalg.norm(made * [noise_of(x) for x in columns])))
-    own, moves = float(np.std(left)), float(np.std(target))
-    return made * columns.std(axis=1) / moves, (own / moves) ** 2, bool(own < 2.0 * noise / np.sqrt(window))
+    spread, moves = float(np.std(left)), float(np.std(target))
+    return made * columns.std(axis=1) / moves, (spread / moves) ** 2, bool(spread < 2.0 * noise / np.sqrt(window))
 
 
 def _inside(u: np.ndarray, dt: float) -> slice:

@@ -198,20 +198,20 @@ def readings(view: View, card: Card) -> Iterator[Reading]:
         )  # fmt: skip
 
 
-def scaled(names: tuple[str, ...], factor: float, fault: str, looks: str, mend: str) -> Reading:
-    return Reading(names, fault, looks, mend, lambda view: {name: factor * view[name] for name in names})
+def scaled(names: tuple[str, ...], factor: float, fault: str, claim: str, mend: str) -> Reading:
+    return Reading(names, fault, claim, mend, lambda view: {name: factor * view[name] for name in names})
 
 
 def _units(group: tuple[str, ...], card: Card, view: View) -> Iterator[Reading]:
-    own, *others = dict.fromkeys(declared(card, name).unit for name in group)
+    stated, *others = dict.fromkeys(declared(card, name).unit for name in group)
     # The unit explains the load factor of flight, and no other one does.
     level = "az" in group and abs(np.log(max(float(np.median(np.abs(view["az"]))), 1e-9) / GRAVITY)) < ONE_G
     are, them = ("is", "it") if len(group) == 1 else ("are", "them")
     for unit, factor in other_units(card, group[0], unit_choices(group[0])) if not (others or level) else ():
         if abs(np.log(factor)) >= 0.1:
-            looks = f"{are} in {unit} and not in {own}, as the card says"
+            claim = f"{are} in {unit} and not in {stated}, as the card says"
             mend = f'set unit = "{unit}" for {them} on the card'
-            yield replace(scaled(group, factor, "unit", looks, mend), factor=factor)
+            yield replace(scaled(group, factor, "unit", claim, mend), factor=factor)
 
 
 def _gravity(card: Card, view: View) -> Iterator[Reading]:
@@ -229,9 +229,9 @@ def _gravity(card: Card, view: View) -> Iterator[Reading]:
 
     for names, factor in product(dict.fromkeys([*((n,) for n in have), have]), (1.0, GRAVITY)):
         unit = ", and in multiples of g" if factor != 1.0 else ""
-        looks = f"{'has' if len(names) == 1 else 'have'} no part of gravity (acceleration, not specific force{unit})"
+        claim = f"{'has' if len(names) == 1 else 'have'} no part of gravity (acceleration, not specific force{unit})"
         mend = f"write {', '.join(back[n] for n in names)} into the file"
-        yield Reading(names, "gravity", looks, mend, partial(put_back, names, factor))
+        yield Reading(names, "gravity", claim, mend, partial(put_back, names, factor))
     beside = dict.fromkeys([(), tuple(n for n in have if n != "az")]) if "az" in have else ()
     for others, sign, factor in product(beside, (1.0, -1.0), (1.0, GRAVITY)):
         unit = "in multiples of g" if factor != 1.0 else f"in {declared(card, 'az').unit}"
@@ -310,12 +310,12 @@ def moved(card: Card, view: View, moves: Moves) -> Reading:
     place = "give each the label, column and unit of the other, and " if exchanged else ""
     count = f"count{'s' if len(moves) == 1 else ''} the other way"
     also = "; ".join(x for x in (exchanged and f"{exchanged} of the card", turned and f"{turned} {count}") if x)
-    fault, looks = ("exchanged", "are exchanged") if exchanged else ("sign", count)
-    looks += (f" (as where {axes})" if axes else "") + (f" ({also})" if exchanged else "")
+    fault, claim = ("exchanged", "are exchanged") if exchanged else ("sign", count)
+    claim += (f" (as where {axes})" if axes else "") + (f" ({also})" if exchanged else "")
     if evident:
-        fault, looks = "axes", f"({also})"
+        fault, claim = "axes", f"({also})"
     return Reading(
-        tuple(moves), fault, looks, f"{place}write {write} on the card",
+        tuple(moves), fault, claim, f"{place}write {write} on the card",
         lambda view: {name: sign * view[source] for name, (source, sign) in moves.items()},
         axes if evident else "",
     )  # fmt: skip
@@ -343,22 +343,22 @@ def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], Flig
         turned = raw[name][0] + np.cumsum(np.where(np.abs(steps) > 0.5, 0.0, steps))
         view[name] = median_filter(turned if name in ("psi", "phi") else raw[name], 5, mode="nearest")
     before = misfits(view)
-    said, left = _chain(record, card, view, before)
-    if (len(said) > 1 or max(left.values(), default=0.0) > 1.0) and (whole := _whole(record, card, view, before)):
-        signs = {reading.channels[0] for reading, _ in said if reading.fault == "sign"}
+    faults, left = _chain(record, card, view, before)
+    if (len(faults) > 1 or max(left.values(), default=0.0) > 1.0) and (whole := _whole(record, card, view, before)):
+        signs = {reading.channels[0] for reading, _ in faults if reading.fault == "sign"}
         of_all = whole[0][0]
         if max(left.values()) > 1.0 or of_all.fault == "axes" or signs == set(of_all.channels):
-            said, left = [whole[0]], whole[1]
-    for reading, _ in said:
+            faults, left = [whole[0]], whole[1]
+    for reading, _ in faults:
         raw, view = reading.of(raw), reading.of(view)
-    read = replace(record, channels={name: raw[name] for name in record.channels}) if said else record
-    return [*(f for _, f in said), *_bias(record, card, view, left)], read
+    read = replace(record, channels={name: raw[name] for name in record.channels}) if faults else record
+    return [*(f for _, f in faults), *_bias(record, card, view, left)], read
 
 
 def _chain(record: FlightRecord, card: Card, view: View, before: Misfits) -> tuple[list[Said], Misfits]:
     """Readings one after the other, the best first, while any mends what is refuted; none unless all are mended."""
-    said, mended, first = list[Said](), set[str](), before
-    while len(said) < 4 and any(value > 1.0 for value in before.values()):
+    faults, mended, first = list[Said](), set[str](), before
+    while len(faults) < 4 and any(value > 1.0 for value in before.values()):
         tried = [(reading, misfits(reading.of(view))) for reading in readings(view, card)]
         gains = [
             (_gain(before, after) if _own_factor(view, reading, before, after) else 0.0, reading, after)
@@ -379,9 +379,9 @@ def _chain(record: FlightRecord, card: Card, view: View, before: Misfits) -> tup
                 seen.add(reading.channels)
                 alike.append(reading)
         mended |= {*_mended(before, after)}
-        said.append((best, _finding(record, best, alike[:2], before, after)))
+        faults.append((best, _finding(record, best, alike[:2], before, after)))
         view, before = best.of(view), after
-    return (said, before) if all(before[name] <= 1.0 for name in mended) else ([], first)
+    return (faults, before) if all(before[name] <= 1.0 for name in mended) else ([], first)
 
 
 def _gain(before: Misfits, after: Misfits) -> float:
@@ -420,8 +420,8 @@ def _factors(view: View) -> list[Reading]:
     factors = []
     for name, k in (("airspeed", speed[0]), ("altitude", -speed[0]))[: 2 if names == {"altitude"} else 1]:
         size, error = np.exp(k), np.exp(k) * speed[1]
-        looks = f"is {size:.4g} +- {error:.1g} times what the other channels make of it (no unit explains it)"
-        factors.append(scaled((name,), 1.0 / size, "factor", looks, f"correct {name} in the file"))
+        claim = f"is {size:.4g} +- {error:.1g} times what the other channels make of it (no unit explains it)"
+        factors.append(scaled((name,), 1.0 / size, "factor", claim, f"correct {name} in the file"))
     return factors
 
 

@@ -124,7 +124,7 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Report:
     sound = [r.record for r in report.records if r.record is not None]
     wrong = [f"{r.path}: {p}" for r in report.records for p in r.problems]
     more, *plots = recorded(sound)
-    uses = [*use_sentences(report), *(said for r in report.records for said in part_sentences(r))]
+    uses = [*use_sentences(report), *(text for r in report.records for text in part_sentences(r))]
     return Report(
         title=f"Record check: {report.card.title}",
         subtitle="Channels, units, sampling, and whether the sensors agree; no aerodynamics is fitted",
@@ -150,15 +150,15 @@ def recorded(records: Sequence[FlightRecord]) -> list[Any]:
 
 
 def _sensors(report: CheckReport) -> tuple[Any, ...]:
-    said, errors = sensor_sentences(report), report.sensors.errors
+    sentences, errors = sensor_sentences(report), report.sensors.errors
     if report.sensors.note:
-        return (said,)
+        return (sentences,)
     faint = " (too small to be named)"
     sizes = {name: f"{parts.error_sizes(e)}{faint if e['minor'] else ''}" for name, e in errors.items()}
     rows = tuple((name, e["claim"], sizes[name]) for name, e in errors.items())
     table = HtmlTable("Errors estimated along the flight path", ("error", "claim", "size ± sd"), rows, words=(1, 2))
     left = left_over(report)
-    return said, table if rows else None, f"{left[:1].upper()}{left[1:]}."
+    return sentences, table if rows else None, f"{left[:1].upper()}{left[1:]}."
 
 
 def _channels(report: CheckReport) -> list[Any]:
@@ -186,10 +186,10 @@ def card_page(starter: Starter, record: str, card: str, source: Mapping[str, Any
         same = [(name, unit, x) for name, unit, x in columns if x is not None and len(x) == len(time)]
         shown = [(name, unit or "unit?", (Line("recorded", COLOURS["measured"], x),)) for name, unit, x in same]
         panels = [Panel(*each) for each in shown[:MOST_PANELS]]
-        known = panels and len(time) > 1 and np.all(np.diff(time) > 0.0)
-        return parts.histories(record, key, time, panels, what) if known else None
+        increasing = panels and len(time) > 1 and np.all(np.diff(time) > 0.0)
+        return parts.histories(record, key, time, panels, what) if increasing else None
 
-    said = "Recorded columns, recorded, with the sign and in the unit that were guessed,"
+    caption = "Recorded columns, recorded, with the sign and in the unit that were guessed,"
     guesses = [(name, g.unit, g.sign * g.values) for name, g in taken.items() if name != "time"]
     rest = "Columns without a name, recorded, as it is in the file,"
     todo = HtmlTable("Entries that say TODO", ("entry", "what it is"), tuple(starter.todo), words=(1,))
@@ -203,7 +203,7 @@ def card_page(starter: Starter, record: str, card: str, source: Mapping[str, Any
         title=f"Starter card: {card}",
         subtitle=f"Written from the columns of {record}; every line is a proposal to be checked",
         verdict=f"{len(taken)} of {columns} columns were assigned to channels; {left}.{blind}",
-        lead=[drawn("time-columns", said, guesses) or "Nothing is drawn: no time that increases was found."],
+        lead=[drawn("time-columns", caption, guesses) or "Nothing is drawn: no time that increases was found."],
         sections=[
             section("todo", "To be completed", lambda: todo if starter.todo else None),
             section("guesses", "Proposals and their evidence", lambda: _guesses(starter)),
@@ -220,41 +220,41 @@ def _guesses(starter: Starter) -> tuple[Any, ...]:
         low, high = (number(float(f(g.values)), 4) for f in (np.min, np.max))
         evidence = g.evidence + (f"; not taken, {doubt}" if doubt else "")
         rows.append((name, g.column.place, g.unit or "unknown", sign, f"{low} to {high}", evidence))
-    said = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
+    caution = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
     head = ("channel", "column", "unit", "sign", "range in the file", "evidence")
-    return (said, HtmlTable("Guesses", head, tuple(rows), words=(5,))) if rows else ()
+    return (caution, HtmlTable("Guesses", head, tuple(rows), words=(5,))) if rows else ()
 
 
 def facts(effect: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Name and text of what holds for the effect as a whole."""
     channel = effect["stage"] == "channel"
     stage = "acts on the recorded channels" if channel else f"acts at the stage {effect['stage']}"
-    known = [
+    rows = [
         ("kind", f"{effect['kind']}; {stage}"),
         ("axes", " and ".join(effect["axes"])),
         ("formula", " ".join(effect["formula"].split()) or "not stated"),
         ("needs", ", ".join(effect["needs"]) or "nothing"),
     ]
     if effect["rests_on"]:
-        known.append(("uses", ", ".join(effect["rests_on"]) + " of other effects in the model"))
+        rows.append(("uses", ", ".join(effect["rests_on"]) + " of other effects in the model"))
     if effect["model"] is not None:
-        known.append(("card", "in the card's model" if effect["model"] else "not in the card's model"))
+        rows.append(("card", "in the card's model" if effect["model"] else "not in the card's model"))
     if not effect["proposed_by_diagnose"]:
-        known.append(("diagnose", "never proposes it; a card may name it"))
-    return known
+        rows.append(("diagnose", "never proposes it; a card may name it"))
+    return rows
 
 
 def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The same of one of its parameters, beside its description."""
-    known = [
+    rows = [
         ("neutral", f"{shown(p['neutral'])}{unit_behind(p['unit'])}: there the effect is absent"),
         ("bounds", f"{shown(p['bounds'][0])} to {shown(p['bounds'][1])}"),
         ("prior", f"{p['prior']['text']} ({p['prior']['source']})"),
     ]
     if p["least_worth_modelling"] is not None:
         least, most = shown(p["least_worth_modelling"]), shown(p["largest_plausible"])
-        known.append(("sizes", f"smallest worth modelling {least} from neutral, largest plausible {most}"))
-    return known
+        rows.append(("sizes", f"smallest worth modelling {least} from neutral, largest plausible {most}"))
+    return rows
 
 
 def worked(effect: Mapping[str, Any]) -> str:

@@ -438,15 +438,15 @@ def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
     return table("screen", columns, stage=rankings[0].stage if rankings else "", beyond=beyond)
 
 
-def scores_frame(found: HoldoutScores) -> pd.DataFrame:
+def scores_frame(holdout: HoldoutScores) -> pd.DataFrame:
     """A row for each model, fit, manoeuvre, coefficient: scores of 5 Hz means, and the gain of the extended model."""
     rows = []
-    for (model, data, k), scores in sorted(found.scores.items()):
-        for name, one in scores.items():
-            row = {"model": model, "data": data, "manoeuvre": found.names[k], "coefficient": name}
-            row |= {"r": one.r, "r2": one.r2, "rmse": one.rmse, "theil": one.theil}
+    for (model, data, k), scores in sorted(holdout.scores.items()):
+        for name, score in scores.items():
+            row = {"model": model, "data": data, "manoeuvre": holdout.names[k], "coefficient": name}
+            row |= {"r": score.r, "r2": score.r2, "rmse": score.rmse, "theil": score.theil}
             if (model, data) == ("extended", "hold_out"):
-                gain = found.gains[found.names[k], name]
+                gain = holdout.gains[holdout.names[k], name]
                 row |= {"elpd_gain": gain.elpd, "elpd_gain_sd": gain.elpd_sd}
                 row |= {"r2_gain": gain.r2, "r2_gain_sd": gain.r2_sd}
             rows.append(row)

@@ -386,8 +386,8 @@ def unfinished(posteriors: Mapping[str, Posterior]) -> list[str]:
 
 def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
     sentences = unfinished(posteriors)
-    for (a, one), (b, two) in combinations([pair for pair in posteriors.items() if pair[0] != "white"], 2):
-        pairs = {n: (one.marginals[n], two.marginals[n]) for n in one.names if n in two.marginals}
+    for (a, first), (b, second) in combinations([pair for pair in posteriors.items() if pair[0] != "white"], 2):
+        pairs = {n: (first.marginals[n], second.marginals[n]) for n in first.names if n in second.marginals}
         means = {n: abs(p.mean - q.mean) / np.sqrt((p.sd**2 + q.sd**2) / 2.0) for n, (p, q) in pairs.items()}
         sds = {n: p.sd / q.sd for n, (p, q) in pairs.items()}
         far, wide = max(means, key=lambda n: means[n]), max(sds, key=lambda n: abs(np.log(sds[n])))

@@ -57,9 +57,9 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
     sentences += [] if left else _settings(flown)
     shares = [f"{symbol(name)} {x:.0%} of the time" for name, x in outside(flown).items() if x > MAX_OUTSIDE]
     if shares and flown.converged:  # a fit that has not converged may still improve
-        looks = f", and diagnose cannot look for it: {hindered}" if hindered else "; bayes-aero diagnose looks for it"
+        remedy = f", and diagnose cannot look for it: {hindered}" if hindered else "; bayes-aero diagnose looks for it"
         key = "path_outside" if flown.of_path else "model_outside"
-        sentences.append(sentence(key, shares=shares, looks=looks if flown.by_effects else ""))
+        sentences.append(sentence(key, shares=shares, looks=remedy if flown.by_effects else ""))
     if flown.variance_inflation >= MIN_INFLATION and not left:
         advice = "" if disturbed or flown.of_path else f" {sentence('in_disturbed_air')}"
         sentences.append(sentence("inflated", times=short(flown.variance_inflation), advice=advice))
@@ -155,8 +155,8 @@ def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
     rows = {str(row.pop("parameter")): row for row in parameter_table(replace(flown, frequency=())).records()}
     for parameter in flown.fit.parameters:
         prior = parameter.prior
-        known = {key: getattr(prior, key) for key in ("family", "location", "scale", "source")}
-        rows[parameter.name]["prior"] = known | {"default": not prior.by_card} if flown.setting.priors else None
+        fields = {key: getattr(prior, key) for key in ("family", "location", "scale", "source")}
+        rows[parameter.name]["prior"] = fields | {"default": not prior.by_card} if flown.setting.priors else None
     return rows
 
 
@@ -302,8 +302,8 @@ def _lead(flown: TrajectoryFit) -> Text:
 def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:
     what = "Measured outputs, those simulated from the first values and by the fit, and the inputs"
     flights = flown.fit.flown.flights
-    known = (n for n in flown.fit.flown.dynamics.inputs if n in flown.units and n in flights.channels)
-    inputs = [n for n in known if n not in flown.outputs]  # states and outputs have panels already
+    recorded = (n for n in flown.fit.flown.dynamics.inputs if n in flown.units and n in flights.channels)
+    inputs = [n for n in recorded if n not in flown.outputs]  # states and outputs have panels already
 
     def drawn(order: int, name: str) -> tuple[np.ndarray, list[Panel]]:
         paths = {label: flown.path(name, model) for model, label in FLOWN.items()}

@@ -59,9 +59,9 @@ def parameter_table(run: Identification) -> Table:
         band = f"in band\n{estimates.band_text(run.frequency)}".replace(" to ", "-")
         columns += estimates.frequency_columns(names, run.frequency, band)
     columns += _alone_columns(run, names) if run.alone else []
-    known = " “True” are the values with which the records were simulated." if truth else ""
+    remark = " “True” are the values with which the records were simulated." if truth else ""
     status = unparted(mle.status.name.lower().replace("_", " "), only_following(run.health))
-    return table("parameters", columns, dense=True, known=known, card=run.card.title, status=status)
+    return table("parameters", columns, dense=True, known=remark, card=run.card.title, status=status)
 
 
 def _sd(e: Estimate) -> str:

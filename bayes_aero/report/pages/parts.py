@@ -80,8 +80,8 @@ def joint_text(joint: Mapping[str, float]) -> str:
 def open_sentences(sensors: Consistency) -> list[str]:
     """Sensor errors that the flight path does not determine: fitted but not confirmed, then not testable."""
     sentences, sizes = [], {e.name: f"{e.name} {size_text(e.mean, e.sd, e.unit)}" for e in sensors.open}
-    if asked := [e for e in sensors.open if e.asked]:
-        imitated = {e.name: sentence("imitated", e=e, among=_among(e)) if e.imitators else "" for e in asked}
+    if sought := [e for e in sensors.open if e.asked]:
+        imitated = {e.name: sentence("imitated", e=e, among=_among(e)) if e.imitators else "" for e in sought}
         listed = "; ".join(f"{sizes[name]}{others}" for name, others in imitated.items())
         sentences.append(sentence("unconfirmed", listed=listed))
     if either := [e for e in sensors.open if e.imitators and e.name in (sensors.errors or {})]:
@@ -109,7 +109,7 @@ def error_sizes(error: Mapping[str, Any]) -> str:
 
 
 def warnings(sentences: Iterable[str]) -> list[Text]:
-    return [Text(one, "warning") for one in sentences]
+    return [Text(text, "warning") for text in sentences]
 
 
 def doubts(
@@ -176,9 +176,9 @@ def records_section(card: Card, records: Sequence[FlightRecord], health: Sequenc
 
 def symbols(card: Card, parameters: Iterable[Parameter], names: Iterable[str], *, degrees: bool = False) -> Fold | None:
     """Meaning of each parameter, axes and signs of the card's model; `degrees` where the page shows angles so."""
-    known, key = {p.name: p for p in parameters}, "lateral" if Axis.LATERAL in card.axes else ""
-    units = {name: for_people(p.unit)[0] if degrees else p.unit for name, p in known.items()}
-    facts = [(f"{n} [{plain_unit(units[n])}]", known[n].description) for n in names if n in known]
+    by_name, key = {p.name: p for p in parameters}, "lateral" if Axis.LATERAL in card.axes else ""
+    units = {name: for_people(p.unit)[0] if degrees else p.unit for name, p in by_name.items()}
+    facts = [(f"{n} [{plain_unit(units[n])}]", by_name[n].description) for n in names if n in by_name]
     about = WORDS["conventions"]
     signs = about["linear"] if card.linear is not None else f"{about['model']} {about.get(key, '')}"
     return fold("What the parameters mean", Facts(tuple(facts)), signs)
@@ -204,8 +204,8 @@ SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
 
 def context_panels(channels: Mapping[str, Any], mine: np.ndarray, *, lateral: bool) -> list[Panel]:
     """Low panels of measured channels (SI) that moved in the samples `mine`, below those of outputs."""
-    known = {n: np.asarray(channels[n], float)[mine] for n in (SIX_CONTEXT if lateral else CONTEXT) if n in channels}
-    return [measured_panel(name, values, height=LOW) for name, values in known.items() if np.ptp(values) > 0.0]
+    recorded = {n: np.asarray(channels[n], float)[mine] for n in (SIX_CONTEXT if lateral else CONTEXT) if n in channels}
+    return [measured_panel(name, values, height=LOW) for name, values in recorded.items() if np.ptp(values) > 0.0]
 
 
 def histories(name: str, key: str, time: np.ndarray, panels: Sequence[Panel], what: str) -> Plot:

@@ -50,15 +50,15 @@ def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
     return columns
 
 
-def points_table(asked: Mapping[str, Any]) -> Table:
+def points_table(test_points: Mapping[str, Any]) -> Table:
     """A row for each test point, in the order of flying, from `test_points` of diagnosis.json."""
-    points = asked["points"]
+    points = test_points["points"]
     columns = point_columns(points)
-    for k, question in enumerate(asked["questions"]):
+    for k, question in enumerate(test_points["questions"]):
         label, key = (between.join(question["effects"]) for between in (" or ", "_or_"))
         values = [p["standard_errors"][k] for p in points]
         columns.append(Column(values, f"standard_errors_{key}", label, label, ".1f", group="then apart"))
-    return table("points", columns, enough=max(q["enough"] for q in asked["questions"]))
+    return table("points", columns, enough=max(q["enough"] for q in test_points["questions"]))
 
 
 def _order_sentence(points: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -66,17 +66,17 @@ def _order_sentence(points: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"Next test points, in this order: {several(flown)}."] if flown else []
 
 
-def points_sentences(asked: Mapping[str, Any]) -> tuple[str, ...]:
+def points_sentences(test_points: Mapping[str, Any]) -> tuple[str, ...]:
     """What to fly next, for each question what it is expected to say, and the envelope."""
-    if not asked:
+    if not test_points:
         return ()
-    points = asked["points"]
+    points = test_points["points"]
     sentences = _order_sentence(points)
-    for k, question in enumerate(asked["questions"]):
+    for k, question in enumerate(test_points["questions"]):
         after = points[-1]["standard_errors"][k] if points else question["present"]
         key = "decides" if after >= question["enough"] else "decides_not"
         sentences.append(sentence(key, label=" or ".join(question["effects"]), q=question, after=after))
-    return tuple(sentences) if asked["stated"] else (*sentences, sentence("no_envelope"))
+    return tuple(sentences) if test_points["stated"] else (*sentences, sentence("no_envelope"))
 
 
 MOST = 6  # tests that are named in a sentence

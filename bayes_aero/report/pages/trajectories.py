@@ -75,8 +75,8 @@ def lag_sentences(flown: Trajectories) -> list[str]:
         return []
     elpd, elpd_se = lag.unseen
     if not lag.kept:
-        asked = f", hold-out {nats_text(elpd, elpd_se, '+')}" if math.isfinite(elpd) else ""
-        gained = f"fit {lag.gain:+.1f} nats{asked}" if math.isfinite(lag.gain) else "its fit did not converge"
+        hold_out = f", hold-out {nats_text(elpd, elpd_se, '+')}" if math.isfinite(elpd) else ""
+        gained = f"fit {lag.gain:+.1f} nats{hold_out}" if math.isfinite(lag.gain) else "its fit did not converge"
         why = "give a size that is too small to be named" if lag.slight else "do not support it"
         return [sentence("no_lag", effect=lag.effect, why=why, gained=gained)]
     after = flown.extended
@@ -250,13 +250,13 @@ def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) 
 
 
 def settled_sentences(
-    disagree: Sequence[Disagreement], fit: ProcessNoise | None, apart: Sequence[str], *, asked: bool
+    disagree: Sequence[Disagreement], fit: ProcessNoise | None, apart: Sequence[str], *, disputed: bool
 ) -> list[str]:
-    """Which estimates to prefer where output error and coefficients disagree; `asked`: process noise is for that."""
+    """Which estimates to prefer where output error and coefficients disagree; `disputed`: process noise is for that."""
     if not disagree or fit is None:
         return []
     names = [d.name for d in disagree]
-    why = [sentence("disputed", names=names)] if asked else []
+    why = [sentence("disputed", names=names)] if disputed else []
     if not fit.preferred:
         return why
     listed = [f"{name} {plus_minus(*fit.estimates[name])}" for name in names if name in fit.estimates]
