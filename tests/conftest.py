@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import typechecker  # noqa: F401  (before the package is imported)
+import typechecker  # before the package is imported
 
 from bayes_aero.diagnosis.diagnose import diagnose, view_of
 from bayes_aero.diagnosis.selection_state import DiagnosisSettings
@@ -47,6 +47,10 @@ def _group(item) -> str:
         return "diagnosed"
     place = item.path.relative_to(TESTS).parts
     return place[0].removesuffix(".py")
+
+
+def pytest_runtest_setup(item):
+    typechecker.begin(item)
 
 
 def pytest_runtest_teardown(nextitem):  # noqa: ARG001
