@@ -25,7 +25,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency import fit_in_band, linear_in_band
-from bayes_aero.inference.output_error import fit_output_error
+from bayes_aero.inference.output_error import fit_cascade
 from bayes_aero.model.observations import join
 from bayes_aero.residuals.equation_error import (
     LinearFrequencyError,
@@ -142,7 +142,8 @@ def drifting():
 def both_domains(channels):
     flights, dynamics = flown_of(SHORT_PERIOD, channels, seed=11)
     fits, responses = linear_in_band(flights, dynamics, BAND)
-    return fit_output_error(segments(flights, dynamics), prior_weight=0.0), fits, responses
+    stages = [segments(flights, dynamics, window=window) for window in (5.0, None)]
+    return fit_cascade(stages, [np.zeros(len(dynamics.free))], prior_weight=0.0), fits, responses
 
 
 def test_drift_moves_the_time_domain_and_not_the_band_whose_responses_are_the_transfer_function(drifting):

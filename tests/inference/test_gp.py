@@ -19,7 +19,6 @@ from scipy.stats import multivariate_normal
 
 from bayes_aero import processes as compiled_programs
 from bayes_aero.errors import InputError
-from bayes_aero.inference import gp as fit
 from bayes_aero.inference.gp import (
     K_LIMIT,
     Budget,
@@ -61,25 +60,20 @@ def log_posterior(theta, data, priors):
     return density_at(theta, point, data.n, priors), point
 
 
-@pytest.fixture
-def problem():
-    """A maker of small problems drawn from the kernel itself: (data, theta) for a seed, a size, a number of inputs."""
-
-    def make(seed, n=60, d=3):
-        rng = np.random.default_rng(seed)
-        theta = rng.uniform(-0.7, 0.7, size=2 * d + 3)
-        theta[-1] -= 1.5
-        x = rng.normal(size=(n, d))
-        return ReducedData.of(x, np.linalg.cholesky(covariance(theta, x)) @ rng.normal(size=n)), theta
-
-    return make
+def problem(seed, n=60, d=3):
+    """A small problem drawn from the kernel itself: (data, theta)."""
+    rng = np.random.default_rng(seed)
+    theta = rng.uniform(-0.7, 0.7, size=2 * d + 3)
+    theta[-1] -= 1.5
+    x = rng.normal(size=(n, d))
+    return ReducedData.of(x, np.linalg.cholesky(covariance(theta, x)) @ rng.normal(size=n)), theta
 
 
 # The marginal likelihood against its textbook form, closed forms, finite differences and scikit-learn
 
 
-@pytest.mark.parametrize(("seed", "d"), [(0, 1), (1, 2), (2, 4)])
-def test_value_is_the_gaussian_density_of_the_full_covariance(problem, seed, d):
+@pytest.mark.parametrize(("seed", "d"), [(0, 1), (2, 4)])
+def test_value_is_the_gaussian_density_of_the_full_covariance(seed, d):
     data, theta = problem(seed, n=40, d=d)
     exact = multivariate_normal(np.zeros(data.n), covariance(theta, data.x)).logpdf(data.fy[:, -1])
     assert log_posterior(theta, data, Priors())[0] - Priors().slopes(theta)[0] == pytest.approx(exact, rel=1e-10)
@@ -110,19 +104,14 @@ PROPER = [
 
 @pytest.mark.parametrize("prior", PROPER, ids=lambda p: p.family)
 def test_priors_integrate_to_one_and_draws_follow_them(prior):
-    mass, _ = quad(lambda t: float(jnp.exp(log_density(prior, jnp.asarray(t)))), -15, 8, limit=200)
+    density = jax.jit(lambda t: jnp.exp(log_density(prior, t)))
+    mass, _ = quad(lambda t: float(density(t)), -15, 8, limit=200)
     assert mass == pytest.approx(1.0, abs=1e-6)
     t = prior.sample(np.random.default_rng(4), (4000,))
-    mean, _ = quad(lambda s: s * float(jnp.exp(log_density(prior, jnp.asarray(s)))), -15, 8, limit=200)
+    mean, _ = quad(lambda t: t * float(density(t)), -15, 8, limit=200)
     assert t.mean() == pytest.approx(mean, abs=5 * t.std() / np.sqrt(t.size))
-
-
-def test_a_frechet_prior_charges_for_what_is_shorter_than_its_scale():
-    prior = HyperPrior("frechet", 6.0, 10.0)
-    t = prior.sample(np.random.default_rng(1), (20000,))
-    assert float(jnp.mean(jnp.exp(t) < 6.0)) == pytest.approx(np.exp(-1.0), abs=0.02)  # its scale is that quantile
-    at_half, at_scale = log_density(prior, jnp.log(jnp.array([3.0, 6.0])))
-    assert float(at_scale - at_half) == pytest.approx(2.0**10 - 1.0 - 10.0 * np.log(2.0))
+    if prior.family == "frechet":  # its scale, 2, is the quantile 1/e: what is shorter is charged for
+        assert np.mean(np.exp(t) < 2.0) == pytest.approx(np.exp(-1.0), abs=0.03)
 
 
 def test_priors_are_laid_out_as_theta():
@@ -163,25 +152,26 @@ def statistics_of(seed, d):
 
 
 @pytest.mark.parametrize("priors", PRIORS.values(), ids=PRIORS)
-@pytest.mark.parametrize("d", [1, 4])
-def test_derivatives_are_those_of_the_density(priors, d):
+def test_derivatives_are_those_of_the_density(priors):
     rng = np.random.default_rng(4132)
-    point = statistics_of(rng.integers(2**31), d)
-    w = rng.uniform(-1.5, 1.0, d + 2)
-    u, found = point.u, slopes(w, point, 80, priors)
+    point = statistics_of(rng.integers(2**31), 3)
+    w, u = rng.uniform(-1.5, 1.0, 5), point.u
+    ours = slopes(w, point, 80, priors)
 
-    def posterior(theta, logdet, gram):
-        return small_posterior(theta, logdet, gram, 80.0, priors)
+    @jax.jit
+    def derivatives(w, logdet, gram):
+        def posterior(theta, logdet, gram):
+            return small_posterior(theta, logdet, gram, 80.0, priors)
 
-    arguments = (together(w, u), jnp.asarray(point.logdet), jnp.asarray(point.gram))
-    assert found.value == pytest.approx(float(posterior(*arguments)), rel=1e-11)
-    by_theta, by_logdet, by_gram = jax.grad(posterior, argnums=(0, 1, 2))(*arguments)
-    np.testing.assert_allclose(found.by_theta, by_theta, rtol=1e-8, atol=1e-8)
+        whole = jax.value_and_grad(posterior, argnums=(0, 1, 2))(together(w, u), logdet, gram)
+        return *whole, jax.grad(lambda w: posterior(together(w, u), logdet, gram))(w)
+
+    value, (by_theta, by_logdet, by_gram), by_w = derivatives(w, point.logdet, point.gram)
+    assert ours.value == pytest.approx(float(value), rel=1e-11)
+    np.testing.assert_allclose(ours.by_theta, by_theta, rtol=1e-8, atol=1e-8)
     assert float(by_logdet) == pytest.approx(-0.5)
-    symmetric = np.asarray(by_gram) + np.asarray(by_gram).T
-    np.testing.assert_allclose(found.by_gram + found.by_gram.T, symmetric, rtol=1e-7, atol=1e-9)
-    in_w = jax.jit(lambda w: posterior(together(w, u), *arguments[1:]))
-    np.testing.assert_allclose(found.by_w, jax.grad(in_w)(w), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(ours.by_gram + ours.by_gram.T, by_gram + by_gram.T, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(ours.by_w, by_w, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("priors", PRIORS.values(), ids=PRIORS)
@@ -210,13 +200,13 @@ FOUR = Budget(starts=4)
 
 @pytest.fixture(scope="module")
 def case():
-    """A non-linear function of one input with a linear trend, 60 points: data, optimum, posterior."""
+    """A non-linear function of one input with a linear trend, 40 points: data, optimum, posterior."""
     rng = np.random.default_rng(21)
-    x = rng.uniform(-1.7, 1.7, size=(60, 1))
-    y = 0.5 + 0.4 * x[:, 0] + 0.5 * np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=60)
+    x = rng.uniform(-1.7, 1.7, size=(40, 1))
+    y = 0.5 + 0.4 * x[:, 0] + 0.5 * np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=40)
     data = ReducedData.of(x, y)
     best = find_map(data, Priors(), starts=4, polish=1)[0]
-    return data, best, sample_posterior(best, data, Priors(), budget=Budget(draws=1000, seed=2))
+    return data, best, sample_posterior(best, data, Priors(), budget=Budget(draws=300, seed=2))
 
 
 def test_it_is_accepted_with_its_error_measured_and_the_same_again(case):
@@ -227,9 +217,9 @@ def test_it_is_accepted_with_its_error_measured_and_the_same_again(case):
     assert np.sum(np.exp(sampled.log_weight)) == pytest.approx(1.0)
     for theta, exact in zip(sampled.theta[:5], sampled.exact[:5], strict=True):
         assert exact == pytest.approx(log_posterior(theta, data, Priors())[0], abs=1e-9)
-    again = sample_posterior(best, data, Priors(), budget=Budget(draws=1000, seed=2))
-    np.testing.assert_array_equal(again.theta, sampled.theta)
-    assert again.k_hat == sampled.k_hat
+    once, again = (sample_posterior(best, data, Priors(), budget=Budget(draws=40, rounds=1, seed=2)) for _ in range(2))
+    np.testing.assert_array_equal(again.theta, once.theta)
+    assert again.k_hat == once.k_hat
 
 
 def test_re_weighted_draws_are_those_of_nuts_on_the_exact_density(case):
@@ -258,8 +248,8 @@ def _nuts_on_the_exact_density(theta, root, data):
         return -exact - Priors().slopes(at)[0]
 
     driver = MCMC(
-        NUTS(potential_fn=potential, target_accept_prob=0.85, max_tree_depth=7, dense_mass=True),
-        num_warmup=250, num_samples=500, num_chains=4, chain_method="vectorized", progress_bar=False,
+        NUTS(potential_fn=potential, target_accept_prob=0.85, max_tree_depth=5, dense_mass=True),
+        num_warmup=200, num_samples=400, num_chains=4, chain_method="vectorized", progress_bar=False,
     )  # fmt: skip
     starts = jax.random.normal(jax.random.PRNGKey(8), (4, len(theta)))
     driver.run(jax.random.PRNGKey(9), init_params=starts, extra_fields=("potential_energy",))
@@ -267,22 +257,21 @@ def _nuts_on_the_exact_density(theta, root, data):
 
 
 def test_a_proposal_that_sits_beside_the_posterior_is_refused_or_moved_there(case):
-    """Two log units from the optimum, one round: refused; more rounds find the way."""
+    """A log unit from the optimum, one round: refused; more rounds find the way."""
     data, best, sampled = case
-    beside = best._replace(theta=best.theta + np.array([0.0, 0.0, 0.0, 2.0, 1.0]))
-    once = sample_posterior(beside, data, Priors(), budget=Budget(rounds=1, seed=1))
+    beside = best._replace(theta=best.theta + np.array([0.0, 0.0, 0.0, 1.2, 0.6]))
+    once = sample_posterior(beside, data, Priors(), budget=Budget(draws=96, rounds=1, seed=1))
     assert once.status is SampleStatus.uneven_weights
     assert "Refused" in once.status.value
-    often = sample_posterior(beside, data, Priors(), budget=Budget(rounds=20, seed=1))
+    often = sample_posterior(beside, data, Priors(), budget=Budget(draws=96, rounds=20, seed=1))
     assert often.status is SampleStatus.accepted
     ours, theirs = (np.exp(s.log_weight) @ s.theta for s in (often, sampled))
     np.testing.assert_allclose(ours, theirs, atol=0.3)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_pareto_smoothing_weighs_one_gaussian_into_another(seed):
+def test_pareto_smoothing_weighs_one_gaussian_into_another():
     """E and Var of N(0.3, 1) from draws of N(0, 1.2): the sign convention of ArviZ's psislw is in this."""
-    x = 1.2 * np.random.default_rng(seed).normal(size=4000)
+    x = 1.2 * np.random.default_rng(0).normal(size=4000)
     log_weight, k_hat = pareto_smooth(-0.5 * (x - 0.3) ** 2 + 0.5 * (x / 1.2) ** 2)
     w = np.exp(log_weight)
     assert k_hat < 0.5
@@ -293,9 +282,8 @@ def test_pareto_smoothing_weighs_one_gaussian_into_another(seed):
 # The search finds the optimum it should, from bad starts too, and says how it ended
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_full_gradient_vanishes_at_the_optimum(problem, seed):
-    data, theta = problem(seed, n=150, d=2)
+def test_the_full_gradient_vanishes_at_the_optimum():
+    data, theta = problem(0, n=100, d=2)
     best = maximise(noise_to_signal(theta), data, Priors())
     assert best.status is MapStatus.converged
     assert log_posterior(best.theta, data, Priors())[0] == pytest.approx(best.value, abs=1e-9)
@@ -341,7 +329,7 @@ def make(seed, n=100):
 @pytest.fixture(scope="module")
 def sampled():
     X, y = make(0)
-    return fit_gp(X[:, 1:], y - 6 * X[:, 0], names=("V", "CL"), budget=Budget(starts=4, seed=4))
+    return fit_gp(X[:, 1:], y - 6 * X[:, 0], names=("V", "CL"), budget=Budget(draws=96, starts=4, seed=4))
 
 
 @pytest.fixture(scope="module")
@@ -395,9 +383,12 @@ def test_mixture_quantiles_are_those_of_its_draws():
     np.testing.assert_allclose(p.high[2], np.quantile(draws, 0.975, axis=0), atol=0.03)
 
 
-def test_units_of_inputs_and_output_do_not_matter(at_map):
+def test_units_of_inputs_and_output_do_not_matter_and_without_sampling_it_says_so(at_map):
+    assert at_map.status is SampleStatus.not_sampled
+    assert at_map.posterior is None
+    assert np.isnan(at_map.k_hat)
     X, y = make(0)
-    other = fit_gp(X * [57.3, 3.6] + [1.0, 0.0], 100.0 * y, budget=FOUR, sample=False)
+    other = fit_gp(jnp.asarray(X * [57.3, 3.6] + [1.0, 0.0]), jnp.asarray(100.0 * y), budget=FOUR, sample=False)
     new, _ = make(6, n=20)
     there, here = other.predict(new * [57.3, 3.6] + [1.0, 0.0]), at_map.predict(new)
     np.testing.assert_allclose(there.mean, 100.0 * here.mean, rtol=1e-4)
@@ -422,53 +413,31 @@ def test_the_tree_is_complete_and_arviz_reads_it_back(sampled, tmp_path):
     back.close()
 
 
-def test_a_fit_without_sampling_says_so_and_takes_jax_arrays(at_map):
-    assert at_map.status is SampleStatus.not_sampled
-    assert at_map.posterior is None
-    assert np.isnan(at_map.k_hat)
-    X, y = make(0)
-    again = fit_gp(jnp.asarray(X), jnp.asarray(y), budget=FOUR, sample=False)
-    assert again.optima[0].value == at_map.optima[0].value
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda X, y: (X[:6], y[:6]), "6 samples cannot"),
-        (lambda X, y: (np.tile(X, (81, 1)), np.tile(y, 81)), "8000"),
-        (lambda X, y: (X * [0.0, 1.0], y), "x0 does not vary"),
-    ],
-    ids=["few", "many", "constant"],
-)
+@pytest.mark.parametrize(("change", "says"), [
+    (lambda X, y: (X[:6], y[:6]), "6 samples cannot"),
+    (lambda X, y: (np.tile(X, (81, 1)), np.tile(y, 81)), r"n = 8100 .*bound of 8000.*--resample"),
+    (lambda X, y: (X * [0.0, 1.0], y), "x0 does not vary"),
+], ids=["few", "many", "constant"])  # fmt: skip
 def test_what_cannot_be_fitted_is_refused_in_words(change, says):
     with pytest.raises(InputError, match=says):
         fit_gp(*change(*make(0)), sample=False)
 
 
-def test_records_that_are_too_long_are_refused(monkeypatch):
-    X, y = make(0)
-    monkeypatch.setattr(fit, "MAX_SAMPLES", 80)
-    with pytest.raises(InputError, match=r"n = 100 .*bound of 80.*--resample"):
-        fit_gp(X, y, sample=False)
-
-
-@pytest.mark.parametrize("dependent", ["input twice", "sum of inputs"])
-def test_dependent_inputs_are_sampled_as_their_priors_divide_them(dependent):
+def test_dependent_inputs_are_sampled_as_their_priors_divide_them():
     """What the record cannot tell apart, the priors do: draws of the exact posterior, as of independent inputs."""
     X, y = make(0, n=60)
-    X = np.column_stack([X, X[:, 0] if dependent == "input twice" else X @ [1.0, 0.01]])
-    found = fit_gp(X, y, sample=True, budget=Budget(starts=3, seed=1))
-    assert found.status is SampleStatus.accepted
-    assert np.isfinite(found.predict(X).mean).all()
+    X, y = np.column_stack([X[:, 1], X[:, 1]]), y - 6 * X[:, 0]
+    fit = fit_gp(X, y, budget=Budget(draws=96, starts=3, seed=1))
+    assert fit.status is SampleStatus.accepted
+    assert np.isfinite(fit.predict(X).mean).all()
 
 
 def test_an_output_without_noise_has_a_mode_and_a_status_in_place_of_draws():
     X, _ = make(0, n=60)
-    y = 2.0 + X @ np.arange(1.0, X.shape[1] + 1.0)
-    found = fit_gp(X, y, sample=True, budget=Budget(starts=3, seed=1))
-    assert found.status is SampleStatus.uneven_weights
-    assert found.posterior is None
-    assert np.isfinite(found.predict(X).mean).all()
+    fit = fit_gp(X, 2.0 + X @ [1.0, 2.0], budget=Budget(draws=48, rounds=2, starts=3, seed=1))
+    assert fit.status is SampleStatus.uneven_weights
+    assert fit.posterior is None
+    assert np.isfinite(fit.predict(X).mean).all()
 
 
 # Processes that train for a parent that was killed do not outlive it
@@ -511,10 +480,10 @@ def mappings():
 def test_programs_take_mappings_and_give_them_back():
     give_back_memory()
     before = mappings()
-    for k in range(40):
+    for k in range(12):
         jax.jit(lambda x, k=k: jax.lax.scan(lambda c, y: (c + k * jnp.sin(y), c), 0.0, x)[0])(jnp.ones(3 + k))
     taken = mappings() - before
-    assert taken >= 40
+    assert taken >= 12
     give_back_memory()
     assert mappings() - before < 0.5 * taken
 
