@@ -13,7 +13,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from bayes_aero.dynamics.aircraft import Longitudinal
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.kalman import discrete_noise, neighbour_correlation
+from bayes_aero.dynamics import kalman
 from bayes_aero.dynamics.pilot import through_gusts
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import System
@@ -89,13 +89,12 @@ def test_gusts_decay_with_their_length_and_keep_their_intensity(systems):
 def test_at_the_beginning_the_flow_is_known_and_the_gust_is_not(systems):
     _, gusty = systems
     x, deviation = state(V, ALPHA, 0.0, 0.0), jnp.array([0.3, 0.004, 0.002, 0.001, 0.0, 0.0])
-    P = np.asarray(gusty.start_covariance(x, ROW, deviation))
 
     def flow(x):
-        found = gusty.motion(x, ROW)[1]
-        return jnp.stack([found["airspeed"], found["alpha"]])
+        shown = gusty.motion(x, ROW)[1]
+        return jnp.stack([shown["airspeed"], shown["alpha"]])
 
-    C = np.asarray(jax.jacfwd(flow)(x))
+    P, C = jax.jit(lambda x: (gusty.start_covariance(x, ROW, deviation), jax.jacfwd(flow)(x)))(x)
     np.testing.assert_allclose(np.sqrt(np.diag(C @ P @ C.T)), [0.3, 0.004], rtol=1e-9)
     w, u = gusty.states.index("gust_w"), gusty.states.index("gust_u")
     assert P[w, w] == pytest.approx(1.5**2)
@@ -110,7 +109,7 @@ def test_noise_that_a_sample_gathers_is_van_loan_s_integral():
     both = np.asarray(expm(jnp.asarray(block)))
     transition = both[3:, 3:].T
     exact = transition @ both[:3, 3:]
-    found = np.asarray(discrete_noise(jnp.asarray(transition), jnp.asarray(np.diag(W)), dt))
+    found = np.asarray(kalman.discrete_noise(jnp.asarray(transition), jnp.asarray(np.diag(W)), dt))
     np.testing.assert_allclose(found[1:, 1:], exact[1:, 1:], rtol=2e-3)
     assert found[0, 0] < 1.3 * exact[0, 0]  # of the fifth power of dt
 
@@ -230,13 +229,12 @@ def test_buffet_is_found_in_intensity_and_length_and_counted_once(shaken):
     without = fitted(card, flights)
     assert found.log_likelihood - without.log_likelihood > 50.0
     az = tuple(NOISE).index("az")
-    alike, coloured = (np.abs(neighbour_correlation(one.found)) for one in (found, without))
+    alike, coloured = (np.abs(kalman.neighbour_correlation(one.found)) for one in (found, without))
     assert np.max(alike) < 4.0 / np.sqrt(SHAKEN_N)
     assert coloured[az] > 4.0 / np.sqrt(SHAKEN_N)
     # Noise that grows as the flow separates stands for buffet: both would count it twice.
-    card, flights, _ = shaken
     for more, grows in (("buffet",), False), ((), True):
         model = model_of(card, *more)
         flown = segments(flights, aircraft_dynamics(model, flights), outputs=tuple(NOISE))
-        swelling = replace(flown, noise_growth=3.0 * flown.noise_growth)
-        assert bool(np.all(disturbed(swelling).noise_growth == 1.0)) is not grows
+        growing = replace(flown, noise_growth=3.0 * flown.noise_growth)
+        assert bool(np.all(disturbed(growing).noise_growth == 1.0)) is not grows

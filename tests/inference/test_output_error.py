@@ -4,17 +4,9 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
+import linear_cards as cards
 import numpy as np
 import pytest
-from linear_cards import (
-    LATERAL_TRUTH,
-    SHORT_PERIOD,
-    SHORT_PERIOD_TRUTH,
-    card_of,
-    lateral_flight,
-    record_of,
-    short_period_flight,
-)
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -25,7 +17,6 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import shipped_cards
 from bayes_aero.inference.frequency import linear_in_band
 from bayes_aero.inference.output_error import (
-    INITIAL_STATE_SD,
     MAX_GROWTH,
     SeparatedFlow,
     fit_cascade,
@@ -40,20 +31,25 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.parameter import Prior
 
-NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}
+SHORT_PERIOD, TRUTH = cards.SHORT_PERIOD, cards.SHORT_PERIOD_TRUTH
+NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003}
 BEGIN = (0.04, 0.01)
-BRIEF = short_period_flight(SHORT_PERIOD_TRUTH, n=200, x0=BEGIN)  # 8 s
+BRIEF = cards.short_period_flight(TRUTH, n=200, x0=BEGIN)  # 8 s
 
 
 def noisy(channels, seed, name="linear"):
     """A record of these true channels; with white noise unless the seed is None."""
-    return record_of(channels, 0.04, NOISE, None if seed is None else np.random.default_rng(seed), name)
+    return cards.record_of(channels, 0.04, NOISE, None if seed is None else np.random.default_rng(seed), name)
 
 
 def flown_of(text, channels, seed, outputs=None, **options):
-    card = card_of(text)
+    card = cards.card_of(text)
     dynamics = linear_dynamics(card)
     return segments(join([noisy(channels, seed)], card, dynamics.inputs), dynamics, outputs=outputs, **options)
+
+
+def truth_of(flown):
+    return np.array([TRUTH[name] for name in flown.dynamics.names])
 
 
 def value_of(fit, name, of="estimate"):
@@ -78,12 +74,12 @@ def in_a_band(flown):
 
 
 SPEED = 90.0  # m/s, of the flight by which az follows alpha
-SHIPPED_TRUTH = SHORT_PERIOD_TRUTH | {
-    "azalpha": SPEED * SHORT_PERIOD_TRUTH["Zalpha"], "azde": SPEED * SHORT_PERIOD_TRUTH["Zde"]
+SHIPPED_TRUTH = TRUTH | {
+    "azalpha": SPEED * TRUTH["Zalpha"], "azde": SPEED * TRUTH["Zde"]
 }  # fmt: skip
 PROBLEMS = {  # a shipped card: a flight by the matrix exponential, the truth, and what is known to 10 %
-    "short_period": (short_period_flight, SHIPPED_TRUTH, ("Zalpha", "Malpha", "Mq", "Mde")),
-    "lateral": (lateral_flight, LATERAL_TRUTH | {"Nda": 0.0}, ("Lp", "Lda", "Nr", "Nbeta")),
+    "short_period": (cards.short_period_flight, SHIPPED_TRUTH, ("Zalpha", "Malpha", "Mq", "Mde")),
+    "lateral": (cards.lateral_flight, cards.LATERAL_TRUTH, ("Lp", "Lda", "Nr", "Nbeta")),
 }
 
 
@@ -94,7 +90,7 @@ PROBLEMS = {  # a shipped card: a flight by the matrix exponential, the truth, a
 def test_the_truth_comes_back(engine, problem):
     simulate, truth, precise = PROBLEMS[problem]
     text = shipped_cards()[problem].read_text()
-    mapped = {c.name for c in card_of(text).channels}
+    mapped = {c.name for c in cards.card_of(text).channels}
     fit, sd = engine(flown_of(text, {name: x for name, x in simulate(truth).items() if name in mapped}, 2))
     assert {*fit.names, *getattr(fit, "unseen", ())} == set(truth)
     off = {n: (x - truth[n]) / s for n, x, s in zip(fit.names, fit.estimate, sd, strict=True) if s > 0.0}
@@ -128,7 +124,7 @@ def test_it_stopped_at_the_optimum(short_period):
     x0 = np.array(x0) + fit.departure[0]
 
     def cost(values):
-        true = short_period_flight(dict(zip(fit.names, values, strict=True)), n=200, x0=x0)
+        true = cards.short_period_flight(dict(zip(fit.names, values, strict=True)), n=200, x0=x0)
         return 100.0 * sum(np.log(np.mean((measured[name] - true[name]) ** 2)) for name in measured)
 
     here = cost(fit.estimate)
@@ -151,16 +147,16 @@ def test_residuals_of_the_last_step_and_deviations_are_those_of_the_simulation(s
     base = np.array([*fit.estimate, *np.asarray(at.trajectory.states)[0, 0]])
 
     def respond(v):
-        flight = short_period_flight(dict(zip(fit.names, v[:-2], strict=True)), n=200, x0=v[-2:])
+        flight = cards.short_period_flight(dict(zip(fit.names, v[:-2], strict=True)), n=200, x0=v[-2:])
         return np.concatenate([flight[name] / np.sqrt(R) for name, R in zip(fit.flown.outputs, fit.R, strict=True)])
 
     S = np.stack([(respond(base + step) - respond(base - step)) / 2e-6 for step in 1e-6 * np.eye(len(base))], axis=1)
-    start = [INITIAL_STATE_SD[name] ** -2 for name in ("alpha", "q")]  # what the sensors say of the initial state
+    start = initial_state_sd(fit.flown.dynamics) ** -2  # what the sensors say of the initial state
     information = S.T @ S + np.diag([*np.zeros(len(fit.names)), *start])
     np.testing.assert_allclose(fit.sd, np.sqrt(np.diag(np.linalg.inv(information)))[:-2], rtol=0.01)
 
 
-STILL = short_period_flight(SHORT_PERIOD_TRUTH | {"Zde": 0.0, "Mde": 0.0}, n=200, x0=(0.1, -0.1))
+STILL = cards.short_period_flight(TRUTH | {"Zde": 0.0, "Mde": 0.0}, n=200, x0=(0.1, -0.1))
 STILL["elevator"] = np.zeros(200)
 
 
@@ -181,8 +177,8 @@ def test_what_the_record_does_not_move_is_held_by_its_prior_or_undetermined(shor
         assert value_of(fit, name, "sd_corrected") == pytest.approx(scale, rel=1e-6)
         assert value_of(fit, name, "crb") == value_of(free, name, "sd_corrected") == np.inf
     for name in ("Zalpha", "Malpha", "Mq"):
-        error = abs(value_of(fit, name) - SHORT_PERIOD_TRUTH[name])
-        assert error < 4.0 * value_of(fit, name, "sd") < 0.4 * abs(SHORT_PERIOD_TRUTH[name])
+        error = abs(value_of(fit, name) - TRUTH[name])
+        assert error < 4.0 * value_of(fit, name, "sd") < 0.4 * abs(TRUTH[name])
         assert value_of(free, name) == pytest.approx(value_of(fit, name), rel=1e-3)
 
 
@@ -221,7 +217,7 @@ def test_segments_that_do_not_count_have_no_say(windows, short_period):
 
 def test_a_bound_in_the_way_is_said():
     flown = flown_of(SHORT_PERIOD + "\n[parameters.Mq]\nstart = -0.3\nbounds = [-0.8, 0.0]\n", BRIEF, 1)
-    fit = fit_output_error(flown, start=np.array([SHORT_PERIOD_TRUTH[name] for name in flown.dynamics.names]))
+    fit = fit_output_error(flown, start=truth_of(flown))
     assert fit.status is OutputErrorStatus.AT_BOUND
     assert fit.at_bound == ("Mq",)
     assert value_of(fit, "Mq") == -0.8
@@ -238,16 +234,16 @@ def test_an_aircraft_that_cannot_fly_the_record_is_said():
 
 def coloured_flown(seed, rho, n=500, biases=(0.0,)):
     """Flights with AR(1) noise of the usual deviations on alpha and q, a constant error of alpha in each."""
-    card, rng = card_of(SHORT_PERIOD), np.random.default_rng(seed)
+    card, rng = cards.card_of(SHORT_PERIOD), np.random.default_rng(seed)
     dynamics = linear_dynamics(card)
     records = []
     for number, bias in enumerate(biases):
-        channels = short_period_flight(SHORT_PERIOD_TRUTH, n=n, x0=(0.04, 0.01 - 0.03 * number))
+        channels = cards.short_period_flight(TRUTH, n=n, x0=(0.04, 0.01 - 0.03 * number))
         for name in ("alpha", "q"):
             white = rng.standard_normal(n) * np.append(1.0, np.full(n - 1, np.sqrt(1.0 - rho**2)))
             channels[name] = channels[name] + NOISE[name] * lfilter([1.0], [1.0, -rho], white)
         channels["alpha"] = channels["alpha"] + bias
-        records.append(record_of(channels, name=f"flight {number}"))
+        records.append(cards.record_of(channels, name=f"flight {number}"))
     return segments(join(records, card, dynamics.inputs), dynamics, outputs=("alpha", "q"))
 
 
@@ -255,7 +251,7 @@ def coloured_flown(seed, rho, n=500, biases=(0.0,)):
 @pytest.mark.parametrize(("rho", "flights"), [(0.0, 100), (0.9, 60)])
 def test_intervals_cover_the_truth(rho, flights):
     """95 % intervals hold the truth as often as they say; of coloured noise those that take it for white do not."""
-    truth = {name: x for name, x in SHORT_PERIOD_TRUTH.items() if name != "az0"}
+    truth = {name: x for name, x in TRUTH.items() if name != "az0"}
     inside = {"crb": [], "sd_corrected": []}
     for seed in range(flights):
         fit = fit_output_error(coloured_flown([9, seed], rho), held={"az0": 0.0})
@@ -274,7 +270,7 @@ def test_what_one_stretch_alone_tells_has_a_corrected_deviation_of_its_size():
     biases = {"alpha": Prior("normal", 0.0, 0.1), "q": Prior("normal", 0.0, 0.1)}
     fit = fit_output_error(flown, held={"az0": 0.0}, prior_weight=0.0, biases=biases)
     assert fit.status is OutputErrorStatus.CONVERGED
-    truth = SHORT_PERIOD_TRUTH | {"bias_alpha_1": 0.0, "bias_q_1": 0.0}
+    truth = TRUTH | {"bias_alpha_1": 0.0, "bias_q_1": 0.0}
     assert set(fit.names) == set(truth)
     for name in set(truth) - {"az0"}:
         crb, sd = (value_of(fit, name, of) for of in ("crb", "sd_corrected"))
@@ -285,7 +281,7 @@ def test_what_one_stretch_alone_tells_has_a_corrected_deviation_of_its_size():
 def test_biases_of_manoeuvres_are_recovered_and_free_the_parameters():
     """An alpha vane that stands off by another constant in each flight."""
     flown = coloured_flown(5, 0.0, biases=(0.02, -0.015))
-    start = np.array([SHORT_PERIOD_TRUTH[name] for name in flown.dynamics.names])
+    start = truth_of(flown)
     plain = fit_output_error(flown, start=start, held={"az0": 0.0})
     fit = fit_output_error(flown, start=start, held={"az0": 0.0}, biases={"alpha": Prior("normal", 0.0, 0.02)})
     assert fit.names == (*plain.names, "bias_alpha_1", "bias_alpha_2")
@@ -296,9 +292,9 @@ def test_biases_of_manoeuvres_are_recovered_and_free_the_parameters():
     assert deviation < 0.001
     assert apart @ fit.estimate == pytest.approx(0.035, abs=4.0 * deviation)
     for name in ("Zalpha", "Zde", "Malpha", "Mq", "Mde"):
-        assert abs(value_of(fit, name) - SHORT_PERIOD_TRUTH[name]) < 4.0 * value_of(fit, name, "sd"), name
+        assert abs(value_of(fit, name) - TRUTH[name]) < 4.0 * value_of(fit, name, "sd"), name
     # Without biases the slope follows the flights' offsets.
-    wrong, right = (abs(value_of(one, "Zalpha") - SHORT_PERIOD_TRUTH["Zalpha"]) for one in (plain, fit))
+    wrong, right = (abs(value_of(one, "Zalpha") - TRUTH["Zalpha"]) for one in (plain, fit))
     assert wrong > 2.0 * right
     assert value_of(plain, "Zalpha", "sd") > 3.0 * value_of(fit, "Zalpha", "sd")
     with pytest.raises(InputError, match="altitude cannot have a bias"):
@@ -312,7 +308,7 @@ def test_a_fixed_initial_state_is_flown_and_given_no_freedom(short_period):
     assert np.all(fit.departure == 0.0)
     begin = trajectories(flown, jnp.asarray(fit.estimate), jnp.asarray(fit.departure)).trajectory.states[0, 0]
     np.testing.assert_allclose(begin, BEGIN, rtol=1e-14)
-    truth = np.array([SHORT_PERIOD_TRUTH[name] for name in fit.names])
+    truth = truth_of(flown)
     assert np.all(np.abs(fit.estimate - truth) < 4.0 * fit.sd)
     assert np.all(fit.crb <= short_period[1].crb * 1.02)  # a state that is known leaves more to say of the rest
     flown = flown_of(SHORT_PERIOD, BRIEF, 1, fixed={"q": 0.02})
@@ -324,7 +320,7 @@ def test_a_fixed_initial_state_is_flown_and_given_no_freedom(short_period):
 
 def test_held_inputs_are_a_zero_order_hold_and_find_the_truth():
     """A digital actuator's record, a matrix exponential each sample; linear between samples Mde is off by more."""
-    n, truth = 200, SHORT_PERIOD_TRUTH | {"Zq": 1.0}
+    n, truth = 200, TRUTH | {"Zq": 1.0}
     u = np.repeat(np.random.default_rng(7).normal(0.0, 0.03, n // 10), 10)
     motion = [[truth[k + name] for name in ("alpha", "q", "de", "0")] for k in "ZM"]
     step = expm(np.concatenate([motion, np.zeros((2, 4))]) * 0.04)
@@ -344,22 +340,24 @@ def test_held_inputs_are_a_zero_order_hold_and_find_the_truth():
 
 def test_a_velocity_of_the_card_s_own_may_depart_by_as_much_as_a_velocity():
     text = SHORT_PERIOD.replace('alpha = { label = "alpha", unit = "deg" }', 'w = { label = "w", unit = "m/s" }')
-    card = card_of(text[: text.index("[linear.outputs")].replace('"alpha"', '"w"').replace("rates.alpha", "rates.w"))
+    card = cards.card_of(
+        text[: text.index("[linear.outputs")].replace('"alpha"', '"w"').replace("rates.alpha", "rates.w")
+    )
     np.testing.assert_array_equal(initial_state_sd(linear_dynamics(card)), [1.0, 0.01])
 
 
 def test_outputs_are_those_asked_for_and_det_R_is_theirs(card, clean_records):
     record = noisy(BRIEF, 4, name="flight")
-    done = fly([record], card_of(SHORT_PERIOD), outputs="alpha, q", initial_state="fixed").flown
+    done = fly([record], cards.card_of(SHORT_PERIOD), outputs="alpha, q", initial_state="fixed").flown
     assert done.fit.flown.outputs == ("alpha", "q")
     errors = done.path("flight", FITTED).errors
     assert set(errors) == {"alpha", "q", "az"}
     assert done.fit.det_R == pytest.approx(np.prod([errors[name].rms ** 2 for name in ("alpha", "q")]), rel=1e-3)
     assert done.initial["flight"]["alpha"] == (pytest.approx(record["alpha"][0]), 0.0)
     with pytest.raises(InputError, match="the output beta was not recorded or is not simulated; there are alpha, q"):
-        fly([record], card_of(SHORT_PERIOD), outputs=["beta"])
+        fly([record], cards.card_of(SHORT_PERIOD), outputs=["beta"])
     with pytest.raises(InputError, match="initial state is 'known'; use free or fixed"):
-        fly([record], card_of(SHORT_PERIOD), initial_state="known")
+        fly([record], cards.card_of(SHORT_PERIOD), initial_state="known")
     # Pitch acceleration, where it was recorded, is one on request alone.
     stall = clean_records[0]
     stall = replace(stall, channels=dict(stall.channels) | {"q_dot": np.zeros(stall.n)})
@@ -375,11 +373,11 @@ APART = np.where((np.arange(N) > 300) & (np.arange(N) < 400), 1.0, 0.0)  # a sta
 
 
 def growing_flown(seed, growth=GROWTH):
-    rng, channels = np.random.default_rng(seed), short_period_flight(SHORT_PERIOD_TRUTH, n=N)
+    rng, channels = np.random.default_rng(seed), cards.short_period_flight(TRUTH, n=N)
     for name in ("alpha", "q"):
         channels[name] = channels[name] + NOISE[name] * (1.0 + growth * APART) * rng.standard_normal(N)
     flown = flown_of(SHORT_PERIOD, channels, None, ("alpha", "q"))
-    return flown, np.array([SHORT_PERIOD_TRUTH[name] for name in flown.dynamics.names])
+    return flown, truth_of(flown)
 
 
 @pytest.mark.parametrize("growth", [GROWTH, 0.0])
