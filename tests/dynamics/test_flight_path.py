@@ -1,9 +1,7 @@
-"""Flight-path reconstruction of three ATTAS flights against the published programs (TC22, TC32, TC33 of the book).
+"""Flight-path reconstruction of three ATTAS flights against the published programs (TC22, TC32, TC33 of the book)."""
 
-Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015. Published are outputs at the nose boom; here the
-record is corrected to the centre of gravity by effects of the catalogue.
-"""
-
+# Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015. Published are outputs at the nose boom; here the
+# record is corrected to the centre of gravity by effects of the catalogue.
 import json
 from dataclasses import replace
 from pathlib import Path

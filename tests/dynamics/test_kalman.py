@@ -24,69 +24,54 @@ def system():
 
 
 @pytest.fixture(scope="module")
-def record(system):
+def discrete(system):
+    """An input, the transition matrix, and what the input adds in every step: by advancing unit states."""
+    de, ahead = 0.05 * np.sign(np.sin(2.0 * np.pi * np.arange(N) * DT / 3.0)), eqx.filter_jit(advance)
+
+    def step(x, k):
+        now, then = ({"de": jnp.asarray(de[min(at, N - 1)])} for at in (k, k + 1))
+        return np.asarray(ahead(system, jnp.asarray(x), now, then, DT, 1))
+
+    added = np.array([step(np.zeros(2), k) for k in range(N)])
+    return de, np.array([step(e, 0) - added[0] for e in np.eye(2)]).T, added
+
+
+@pytest.fixture(scope="module")
+def record(discrete):
     """A disturbed flight with noise, an output at a fifth of the rate, and a gap."""
-    rng = np.random.default_rng(7)
-    ahead = eqx.filter_jit(advance)
-    de = 0.05 * np.sign(np.sin(2.0 * np.pi * np.arange(N) * DT / 3.0))
+    rng, (de, transition, added) = np.random.default_rng(7), discrete
     x, rows = START + np.sqrt(np.diag(P0)) * rng.standard_normal(2), []
-    for k in range(N):
-        rows.append([*x, MATRIX[2] @ [*x, de[k], 1.0]])
-        later = de[min(k + 1, N - 1)]
-        x = np.asarray(ahead(system, jnp.asarray(x), {"de": jnp.asarray(de[k])}, {"de": jnp.asarray(later)}, DT, 1))
-        x = x + np.sqrt(DT) * F * rng.standard_normal(2)
+    for u, step in zip(de, added, strict=True):
+        rows.append([*x, MATRIX[2] @ [*x, u, 1.0]])
+        x = transition @ x + step + np.sqrt(DT) * F * rng.standard_normal(2)
     z = np.array(rows) + np.sqrt(R) * rng.standard_normal((N, 3))
     z[np.arange(N) % 5 != 0, 2] = np.nan
     z[120:160, 0] = np.nan
-    return {"de": de}, z
+    return z
 
 
 @eqx.filter_jit
-def compiled(system, start, P0, inputs, z, F, R):
-    variance = jnp.tile(jnp.asarray(R), (N, 1))
-    rows = kalman.FilterInputs(start, P0, inputs, later(inputs), z, variance, jnp.ones((N, 3)), DT)
-    return kalman.kalman_filter(system, rows, F, NAMES)
+def filtered(system, de, z, P0, F):
+    inputs, variance = {"de": jnp.asarray(de)}, jnp.tile(jnp.asarray(R), (N, 1))
+    given = jnp.asarray(START), jnp.asarray(P0), inputs, later(inputs), jnp.asarray(z), variance, jnp.ones((N, 3)), DT
+    return kalman.kalman_filter(system, kalman.FilterInputs(*given), jnp.asarray(F), NAMES)
 
 
-def filtered(system, record, F=F, R=R, P0=P0, start=START):
-    inputs, z = record
-    return compiled(
-        system, jnp.asarray(start), jnp.asarray(P0), {"de": jnp.asarray(inputs["de"])}, jnp.asarray(z),
-        jnp.asarray(F), R,
-    )  # fmt: skip
-
-
-def discrete(system, inputs):
-    """Transition matrix, input of every step, noise of a step: by advancing unit states."""
-    de = inputs["de"]
-    later = np.append(de[1:], de[-1])
-    ahead = eqx.filter_jit(advance)
-
-    def step(x, k):
-        now, then = ({"de": jnp.asarray(y[k])} for y in (de, later))
-        return np.asarray(ahead(system, jnp.asarray(x), now, then, DT, 1))
-
-    offset = np.array([step(np.zeros(2), k) for k in range(N)])
-    transition = np.array([step(e, 0) - offset[0] for e in np.eye(2)]).T
-    # test_gusts holds gathered_noise against Van Loan's integral.
-    noise = np.asarray(kalman.discrete_noise(jnp.asarray(transition), jnp.asarray(F**2), DT))
-    return transition, offset, noise
-
-
-def test_a_linear_system_agrees_with_statsmodels(system, record):
+def test_a_linear_system_agrees_with_statsmodels(system, discrete, record):
     """Likelihood, predictions, estimates and smoothed states to 1e-8, missing samples included."""
     mlemodel = pytest.importorskip("statsmodels.tsa.statespace.kalman_smoother")
-    inputs, z = record
-    transition, offset, noise = discrete(system, inputs)
+    (de, transition, added), z = discrete, record
+    # test_gusts holds the noise of a step against Van Loan's integral.
+    noise = np.asarray(kalman.discrete_noise(jnp.asarray(transition), jnp.asarray(F**2), DT))
     other = mlemodel.KalmanSmoother(k_endog=3, k_states=2)
     other.bind(z)
     other["design"] = np.concatenate([np.eye(2), MATRIX[2:, :2]])
-    shift = MATRIX[2, 2] * inputs["de"] + MATRIX[2, 3]
+    shift = MATRIX[2, 2] * de + MATRIX[2, 3]
     other["obs_intercept"] = np.stack([np.zeros(N), np.zeros(N), shift])
     other["obs_cov"], other["transition"], other["selection"] = np.diag(R), transition, np.eye(2)
-    other["state_intercept"], other["state_cov"] = offset.T, noise
+    other["state_intercept"], other["state_cov"] = added.T, noise
     other.initialize_known(START, P0)
-    theirs, ours = other.smooth(), filtered(system, record)
+    theirs, ours = other.smooth(), filtered(system, de, z, P0, F)
     assert float(kalman.log_likelihood(ours)) == pytest.approx(theirs.llf, rel=1e-8)
     np.testing.assert_allclose(ours.predicted, theirs.predicted_state.T[:-1], rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(ours.state, theirs.filtered_state.T, rtol=1e-8, atol=1e-8)
@@ -96,11 +81,11 @@ def test_a_linear_system_agrees_with_statsmodels(system, record):
     np.testing.assert_allclose(P, np.moveaxis(theirs.smoothed_state_cov, 2, 0), rtol=1e-7, atol=1e-10)
 
 
-def test_innovations_without_process_noise_are_those_of_output_error(system, record):
+def test_innovations_without_process_noise_are_those_of_output_error(system, discrete, record):
     """They are the residuals of the simulation, their variance that of the measurement."""
-    inputs, z = record
-    found = filtered(system, record, F=np.zeros(2), P0=np.zeros((2, 2)))
-    flown = eqx.filter_jit(integrate)(system, jnp.asarray(START), {"de": jnp.asarray(inputs["de"])}, DT)
+    de, z = discrete[0], record
+    found = filtered(system, de, z, np.zeros((2, 2)), np.zeros(2))
+    flown = eqx.filter_jit(integrate)(system, jnp.asarray(START), {"de": jnp.asarray(de)}, DT)
     residual = z - np.stack([flown.outputs[name] for name in NAMES], axis=1)
     used = np.asarray(found.used)
     np.testing.assert_allclose(np.asarray(found.innovation)[used], residual[used], rtol=1e-8, atol=1e-10)

@@ -180,10 +180,7 @@ def bare(CL=0.0, CD=0.0, Cm=0.0) -> dict:
 
 @pytest.mark.parametrize("degrees", [-30.0, 45.0])
 def test_steady_level_turn(card, degrees):
-    """Lift m g/cos(bank) holds a level turn of rate g tan(bank)/V at constant speed (any flight-mechanics text).
-
-    There the bank is that of the lift, of sine cos(theta) sin(phi).
-    """
+    """Lift m g/cos(bank) holds a turn of rate g tan(bank)/V, the bank that of the lift, of sine cos(theta) sin(phi)."""
     phi, V, alpha, h = np.deg2rad(degrees), 90.0, 0.12, 3000.0
     a = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0), reference_point=(0.0, 0.0, 0.0))
     theta = np.arctan(np.tan(alpha) * np.cos(phi))
@@ -206,7 +203,7 @@ def test_steady_level_turn(card, degrees):
 def test_conditions_are_those_of_the_largest_lift_not_of_the_largest_angle():
     """Lift peaks in the first tenth; the angle of attack in the last, with the elevator pulled further."""
     n = 100
-    alpha, elevator, az = np.full(n, 0.1), np.full(n, -0.05), np.full(n, -9.8)
+    alpha, elevator, az = (np.full(n, x) for x in (0.1, -0.05, -9.8))
     az[:10], elevator[:10] = -12.0, -0.15
     alpha[-10:], elevator[-10:] = 0.4, -0.28
     signals = {"alpha": alpha, "elevator": elevator, "az": az, "density": np.full(n, 1.0), "airspeed": np.full(n, 50.0)}

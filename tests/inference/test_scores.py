@@ -34,18 +34,13 @@ def tied(density: Density, column: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("colour", Colour)
-def test_data_of_the_model_are_uniform_and_independent(clean, colour):
+def test_data_of_the_model_are_uniform_and_independent_and_twice_the_noise_is_not(clean, colour):
+    """It falls beyond the outer twentieths as often as a normal deviate beyond half the limits: 2 Phi(-0.822)."""
     density, x = measured(clean, colour)
-    values = pit(density, x[None])
-    for column in values.T:
+    for column in pit(density, x[None]).T:
         assert kstest(column, "uniform").pvalue > 1e-3
         assert abs(tied(density, column)) < 4.0 / np.sqrt(len(column))
         assert histogram(column).outside <= 1
-
-
-@pytest.mark.parametrize("colour", Colour)
-def test_twice_the_noise_is_not_uniform(clean, colour):
-    """It falls beyond the outer twentieths as often as a normal deviate beyond half the limits: 2 Phi(-0.822)."""
     density, x = measured(clean, colour, size=2.0)
     for column in pit(density, x[None]).T:
         assert kstest(column, "uniform").pvalue < 1e-6

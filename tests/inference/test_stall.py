@@ -21,7 +21,7 @@ from bayes_aero.inference.mle import fit_mle, stall_of, without_noise_bias
 from bayes_aero.inference.results import MleStatus, PosteriorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Colour, Density, LogDensity, Noise, observe
-from bayes_aero.parameter import Parameter, Prior, to_unbounded
+from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
 # Maximum likelihood against the published ATTAS estimates, simulated truth and closed forms
@@ -36,13 +36,8 @@ PUBLISHED = {
 PUBLISHED_FIT = {"CL": (0.990265, 0.030034), "CD": (0.949406, 0.009806), "Cm": (0.448006, 0.011800)}
 
 
-@pytest.fixture(scope="module")
-def published_fit(attas, model):
-    return fit_mle(model, attas)
-
-
-def test_published_estimates_bounds_cost_and_fit(published_fit, attas, model):
-    r = published_fit
+def test_published_estimates_bounds_cost_and_fit(attas, model):
+    r = fit_mle(model, attas)
     assert r.status is MleStatus.CONVERGED
     assert set(r.names) == set(PUBLISHED)
     for name, estimate, crb in zip(r.names, r.estimate, r.crb, strict=True):
@@ -75,6 +70,7 @@ def test_the_first_real_manoeuvre_alone_finds_a_stall(attas, model):
     assert 0.2 < r.estimate[r.names.index("alpha_star")] < 0.4
 
 
+LINEAR = ("attached_lift", "pitching_moment", "profile_drag")  # in its parameters
 WHITE = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004}
 COLOURED = WHITE | {"rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95}
 
@@ -128,9 +124,7 @@ def test_stalls_that_were_not_flown_and_parameters_at_zero_are_said(gentle, thin
 
 def test_singular_information_and_bounds_are_reported(thinned, model):
     """With Mach constant, CLaM Mach alpha and CLa alpha are one term in attached flow: told, not hidden."""
-    twice = Model.of(
-        ["attached_lift", "mach_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag"]
-    )
+    twice = Model.of((*LINEAR, "mach_lift", "elevator_moment", "pitch_damping"))
     flat = replace(thinned, signals=thinned.signals | {"mach": jnp.full(thinned.n, 0.25)})
     r = fit_mle(twice, flat, extra_starts=0)
     assert r.status is MleStatus.SINGULAR
@@ -142,9 +136,6 @@ def test_singular_information_and_bounds_are_reported(thinned, model):
     assert r.estimate[r.names.index("a1")] == 30.0
 
 
-LINEAR = ("attached_lift", "pitching_moment", "profile_drag")  # in its parameters
-
-
 # Estimates without the bias from recording noise: simulated truth, records without noise, an identity
 VANE = np.radians(0.3)
 
@@ -153,10 +144,13 @@ def flown(card, seed, sensor_noise):
     return [simulate_stall(i, card=card, seed=seed, sensor_noise=sensor_noise, disturbance=0.0) for i in range(2)]
 
 
-def test_half_the_bias_of_a_noisy_vane_and_more_is_taken_off(card, model):
+def test_half_the_bias_of_a_noisy_vane_and_more_is_taken_off_and_without_noise_none(card, model):
     """The mean of estimates with noise added and subtracted, less that without noise, is the bias."""
     exact = flown(card, 11, 0.0)
-    truth = fit_mle(model, observe(exact, card, model), extra_starts=0).estimate
+    still = fit_mle(model, observe(exact, card, model), extra_starts=0)
+    truth, bias = still.estimate, without_noise_bias(still, exact, card, model).bias
+    assert bias is not None
+    assert np.all(np.abs(bias) < 0.05 * still.crb_corrected)
     rng, before, after = np.random.default_rng(1), [], []
     for _ in range(2):
         noise = [VANE * rng.standard_normal(record.n) for record in exact]
@@ -174,16 +168,6 @@ def test_half_the_bias_of_a_noisy_vane_and_more_is_taken_off(card, model):
     large = biased > 1.0
     assert {"tau2", "Cmq", "Cmde"} <= {name for name, is_large in zip(mle.names, large, strict=True) if is_large}
     assert np.all(rest[large] < 0.5 * biased[large])
-
-
-def test_without_noise_or_at_a_bound_nothing_moves(card, model):
-    records = flown(card, 11, 0.0)
-    mle = fit_mle(model, observe(records, card, model), extra_starts=0)
-    freed = without_noise_bias(mle, records, card, model)
-    assert freed.bias is not None
-    assert np.all(np.abs(freed.bias) < 0.05 * mle.crb_corrected)
-    records = flown(card, 11, 1.0)
-    mle = fit_mle(model, observe(records, card, model), extra_starts=0)
     bounded = replace(mle, status=MleStatus.AT_BOUND)
     assert without_noise_bias(bounded, records, card, model) is bounded
 
@@ -249,11 +233,8 @@ def at_mode(linear):
 
 @pytest.fixture(scope="module")
 def posteriors(at_mode):
-    whole, draws_alone = (
-        sampling.sample_ensemble(*at_mode, seed=5),
-        sampling.sample_nuts(*at_mode, seed=5, predictive=False),
-    )
-    return {sampling.sample_ensemble: whole, sampling.sample_nuts: draws_alone}
+    nuts = sampling.sample_nuts(*at_mode, seed=5, predictive=False)
+    return {"emcee": sampling.sample_ensemble(*at_mode, seed=5), "nuts": nuts}
 
 
 @pytest.mark.parametrize("engine", ["emcee", "nuts"])
@@ -284,10 +265,7 @@ def test_maximum_likelihood_is_least_squares_on_a_linear_model(linear):
 
 
 def test_coloured_posterior_of_a_flight_finds_the_pitching_moment(model, card):
-    """A flight with filtered Cm: the AR(1) posterior must not take the filter's smoothness for persistence.
-
-    Tolerances are 5 % of the truth: feedback of disturbances through the pilot biases every method by about 2 %.
-    """
+    """With filtered Cm, whose smoothness is no persistence; feedback of disturbances biases every method by 2 %."""
     observations = observe([simulate_stall(0, seed=5), simulate_stall(1, seed=5)], card, model)
     density = Density.of(observations, model, Noise(Colour.AR1))
     mode = sampling.find_mode(density, sampling.density_start(density, fit_mle(model, observations, extra_starts=0)))
@@ -310,9 +288,8 @@ def test_a_flight_without_a_stall_has_a_mode(gentle, model):
     far = np.array([wild.get(name, value) for name, value in zip(density.names, start, strict=True)])
     mode, lost = (sampling.find_mode(density, x) for x in (start, far))
     assert mode.status is sampling.ModeStatus.CONVERGED
-    assert lost.status is not sampling.ModeStatus.CONVERGED or lost.log_density == pytest.approx(
-        mode.log_density, abs=1e-3
-    )
+    strayed = lost.status is not sampling.ModeStatus.CONVERGED
+    assert strayed or lost.log_density == pytest.approx(mode.log_density, abs=1e-3)
     assert np.isfinite(lost.factor).all()
 
 
@@ -370,9 +347,8 @@ def test_unbounded_scale_is_a_bijection_with_the_stated_slope(thinned, model):
 def test_a_chain_too_short_is_not_called_converged(at_mode):
     density, mode = at_mode
     wrong = replace(mode, u=mode.u + 30.0 * np.abs(np.diag(mode.factor)), factor=0.05 * mode.factor)
-    posterior = sampling.sample_ensemble(
-        density, wrong, seed=1, length=sampling.EnsembleLength(2, 100), predictive=False
-    )
+    brief = sampling.EnsembleLength(2, 100)
+    posterior = sampling.sample_ensemble(density, wrong, seed=1, length=brief, predictive=False)
     assert posterior.status is PosteriorStatus.NOT_CONVERGED
 
 
@@ -468,22 +444,13 @@ class Mixture(LogDensity):
         return logsumexp(parts + jnp.log(jnp.array([self.left, 1.0 - self.left]))) - PRIOR.log_density(x[0])
 
 
-@pytest.mark.parametrize(("left", "at"), [(0.7, -1.5), (0.2, 2.0)])
+@pytest.mark.parametrize(("left", "at"), [(0.7, -1.5), (0.2, 2.0), (1.0 - 1e-9, -1.5)])
 def test_the_mode_with_most_of_the_probability_is_taken_and_the_rest_is_told(left, at):
-    mode = sampling.search_modes(Mixture(left), np.array([2.0 if left > 0.5 else -1.5]), 10, draws=30)
+    mode = sampling.search_modes(Mixture(left), np.array([2.0 if left == 0.7 else -1.4]), 10, draws=30)
     assert mode.u[0] == pytest.approx(at, abs=0.01)
     assert mode.other_share == pytest.approx(min(left, 1.0 - left), abs=0.01)
-    (said,) = sampling.other_modes(mode, "emcee")
-    assert f"{mode.other_share:.0%}" in said
-
-
-def test_one_mode_is_one_however_often_it_is_found():
-    alone = sampling.search_modes(Mixture(1.0 - 1e-9), np.array([-1.4]), 10, draws=30)
-    assert alone.other_share < 1e-6
-    assert sampling.other_modes(alone, "emcee") == ()
-    assert (
-        alone.u[0] == sampling.find_mode(Mixture(1.0 - 1e-9), np.array([-1.4])).u[0]
-    )  # that of the start, to the last digit
+    said = sampling.other_modes(mode, "emcee")
+    assert [f"{mode.other_share:.0%}" in one for one in said] == [True] * (left < 0.9)  # one is not several
 
 
 @pytest.mark.verify
@@ -502,18 +469,3 @@ def test_no_better_mode_lies_at_the_truth():
         found = sampling.search_modes(density, sampling.density_start(density, fit_mle(model, data)), data.n)
         there = sampling.find_mode(density, x)
         assert found.log_mass > there.log_mass - 2.0, f"seed {seed}"
-
-
-# The coordinate of samplers with a knee: a bijection with the stated slope, logarithm below and parameter above
-def parameter(knee, upper):
-    return Parameter("b", "1", 0.0, 2.5, "of a test", Prior("normal", 2.0, 1.0), (2.0, upper), knee=knee)
-
-
-def test_a_knee_is_a_logarithm_below_the_parameter_above_and_a_logit_where_wide():
-    p = parameter(0.1, np.inf)
-    np.testing.assert_allclose(to_unbounded(p, jnp.asarray(2.0 + 1e-7)), np.log(1e-6), atol=1e-6)
-    np.testing.assert_allclose(to_unbounded(p, jnp.asarray(4.0)), 2.0 / 0.1, rtol=1e-6)
-    x = jnp.asarray([2.1, 3.0, 4.5])
-    np.testing.assert_allclose(
-        to_unbounded(parameter(3.0 - 1e-12, 5.0), x), to_unbounded(parameter(9.0, 5.0), x), rtol=1e-9
-    )

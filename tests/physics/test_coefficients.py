@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.flight.card import read_card
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.model.records import Forming
@@ -125,15 +124,8 @@ def test_joined_manoeuvres_and_rows_are_filtered_as_each_alone(rng):
 INNER = slice(60, -60)  # away from the ends, where the vane alone is taken
 
 
-@pytest.fixture(scope="module")
-def flight():
-    card = read_card("attas")
+def test_alpha_dot_is_nearer_the_truth_than_the_vane_and_holds_no_noise_of_lift(card, model):
     (flown,) = hidden_flights({}, seed=41, manoeuvres=1, noise="white", seconds=90.0)
-    return card, Model.from_card(card), flown
-
-
-def test_alpha_dot_is_nearer_the_truth_than_the_vane_and_holds_no_noise_of_lift(flight):
-    card, model, flown = flight
     error = {}
     for forming in Forming:
         found = np.asarray(observe([flown.record], card, model, forming).signals["alpha_dot"])
