@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import arviz_stats
 import jax
@@ -16,11 +17,10 @@ from scipy.integrate import quad
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from bayes_aero import processes as compiled_programs
+from bayes_aero import processes
 from bayes_aero.errors import InputError
 from bayes_aero.inference import gp
 from bayes_aero.inference import gp_kernel as kernel
-from bayes_aero.processes import MAPPINGS, full_of_programs, give_back_memory
 
 HOUSE = kernel.Priors()
 
@@ -49,8 +49,6 @@ def problem(seed, n=60, d=3):
 
 
 # The marginal likelihood against its textbook form, closed forms, finite differences and scikit-learn
-
-
 @pytest.mark.parametrize(("seed", "d"), [(0, 1), (2, 4)])
 def test_value_is_the_gaussian_density_of_the_full_covariance(seed, d):
     data, theta = problem(seed, n=40, d=d)
@@ -71,17 +69,13 @@ def test_a_covariance_that_cannot_be_factorised_is_a_status(monkeypatch):
 
 
 # Hyperparameter priors are densities of the logarithm
-def log_density(prior, t):
-    return prior.slopes(t)[0]
-
-
 WIDE = kernel.Priors(*5 * [kernel.HyperPrior("log-normal", 1.0, 1e3)])  # flat in effect
 PROPER = [kernel.HyperPrior(*of) for of in (("half-normal", 0.7), ("log-normal", 0.3, 0.8), ("frechet", 2.0, 5.0))]
 
 
 @pytest.mark.parametrize("prior", PROPER, ids=lambda p: p.family)
 def test_priors_integrate_to_one_and_draws_follow_them(prior):
-    density = jax.jit(lambda t: jnp.exp(log_density(prior, t)))
+    density = jax.jit(lambda t: jnp.exp(prior.slopes(t)[0]))
     mass, _ = quad(lambda t: float(density(t)), -15, 8, limit=200)
     assert mass == pytest.approx(1.0, abs=1e-6)
     t = prior.sample(np.random.default_rng(4), (4000,))
@@ -95,7 +89,7 @@ def test_priors_are_laid_out_as_theta():
     priors, d = HOUSE, 3
     theta = jnp.linspace(-1, 1, 2 * d + 3)
     each = [p for p, count in zip(priors.each, (1, d, 1, d, 1), strict=True) for _ in range(count)]
-    parts = [float(log_density(p, t)) for p, t in zip(each, theta, strict=True)]
+    parts = [float(p.slopes(t)[0]) for p, t in zip(each, theta, strict=True)]
     assert float(priors.slopes(theta)[0]) == pytest.approx(sum(parts))
     assert priors.sample(np.random.default_rng(0), d, 7).shape == (7, 2 * d + 3)
 
@@ -239,8 +233,6 @@ def test_pareto_smoothing_weighs_one_gaussian_into_another():
 
 
 # The search finds the optimum it should, from bad starts too, and says how it ended
-
-
 def test_the_full_gradient_vanishes_at_the_optimum():
     data, theta = problem(0, n=100, d=2)
     best = kernel.maximise(kernel.noise_to_signal(theta), data, HOUSE)
@@ -301,6 +293,10 @@ def test_predictions_cover_what_they_say_with_the_uncertainty_of_hyperparameters
     for level, share in coverage.items():
         assert share == pytest.approx(level, abs=0.1 if level == 0.5 else 0.05)
     assert np.sqrt(np.mean((p.mean - y) ** 2)) < 0.13
+    new, at = np.linspace(60.0, 110.0, 50)[:, None], np.linspace(0, len(sampled.draws) - 1, 24).round().astype(int)
+    each = [replace(sampled, draws=draw[None]).predict(new).mean for draw in sampled.draws[at]]
+    np.testing.assert_allclose(sampled.predict(new).mean, np.mean(each, axis=0))
+    assert np.std(each, axis=0).min() > 0.0
 
 
 def test_map_prediction_is_the_textbook_conditional(at_map):
@@ -420,19 +416,19 @@ LINUX_ONLY = pytest.mark.skipif(sys.platform != "linux", reason="another system 
 
 
 def mappings():
-    return len(MAPPINGS.read_text().splitlines())
+    return len(processes.MAPPINGS.read_text().splitlines())
 
 
 @pytest.mark.forgets
 @LINUX_ONLY
 def test_programs_take_mappings_and_give_them_back():
-    give_back_memory()
+    processes.give_back_memory()
     before = mappings()
     for k in range(12):
         jax.jit(lambda x, k=k: jax.lax.scan(lambda c, y: (c + k * jnp.sin(y), c), 0.0, x)[0])(jnp.ones(3 + k))
     taken = mappings() - before
     assert taken >= 12
-    give_back_memory()
+    processes.give_back_memory()
     assert mappings() - before < 0.5 * taken
 
 
@@ -440,8 +436,8 @@ def test_programs_take_mappings_and_give_them_back():
 @LINUX_ONLY
 def test_a_process_is_full_near_the_limit_of_the_system(tmp_path, monkeypatch):
     limit = tmp_path / "max_map_count"
-    monkeypatch.setattr(compiled_programs, "LIMIT", limit)
-    assert not full_of_programs()  # no such limit
+    monkeypatch.setattr(processes, "LIMIT", limit)
+    assert not processes.full_of_programs()  # no such limit
     for allowed, full in ((2 * mappings(), False), (mappings(), True)):
         limit.write_text(f"{allowed}\n")
-        assert full_of_programs() is full
+        assert processes.full_of_programs() is full
