@@ -159,23 +159,10 @@ def test_what_cannot_be_held_is_refused():
 
 
 # The simulated flight against flight mechanics that was not taken from the simulator
-def pilot(n: int, **changes) -> flying.Pilot:
-    return flying.Pilot(alpha=jnp.zeros(n), thrust=jnp.zeros(n))._replace(**changes)
-
-
-def state(V, alpha, theta, q=0.0, h=3000.0, X=1.0) -> flying.FlightState:
-    return flying.FlightState(*(jnp.asarray(float(x)) for x in (V, alpha, theta, q, h, X)))
-
-
 BARE = Effect(
     "bare", Kind.AERODYNAMICS, Stage.TOTAL, "Constant coefficients.", (), (),
     lambda v, *_: {name: v[name] for name in ("CL", "CD", "Cm")}, Example({}, {}, {}, "-"), "-",
 )  # fmt: skip
-
-
-def bare(CL=0.0, CD=0.0, Cm=0.0) -> dict:
-    """Values of a model of constant coefficients; the elevator is powerless."""
-    return {name: jnp.asarray(float(x)) for name, x in {"CL": CL, "CD": CD, "Cm": Cm, "Cmde": 1.0}.items()}
 
 
 @pytest.mark.parametrize("degrees", [-30.0, 45.0])
@@ -189,9 +176,11 @@ def test_steady_level_turn(card, degrees):
     body = turn * np.array([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)])
     qS = 0.5 * float(air(jnp.asarray(h))[0]) * V**2 * a.wing_area
     gyro = (a.Iz - a.Ix) * body[0] * body[2] + a.Ixz * (body[2] ** 2 - body[0] ** 2)
-    values = bare(CL=a.mass * GRAVITY / np.cos(bank) / qS, Cm=-gyro / (qS * a.chord))
-    start = state(V, alpha, theta, body[1])
-    out = flying.fly(Model.of([BARE]), values, a, [pilot(50, phi=jnp.full(50, phi))], [start], DT)[0]
+    values = {"CL": a.mass * GRAVITY / np.cos(bank) / qS, "CD": 0.0, "Cm": -gyro / (qS * a.chord), "Cmde": 1.0}
+    values = {name: jnp.asarray(float(x)) for name, x in values.items()}  # the elevator is powerless
+    start = flying.FlightState(*(jnp.asarray(float(x)) for x in (V, alpha, theta, body[1], h, 1.0)))
+    pilot = flying.Pilot(alpha=jnp.zeros(50), thrust=jnp.zeros(50), phi=jnp.full(50, phi))
+    (out,) = flying.fly(Model.of([BARE]), values, a, [pilot], [start], DT)
     for name, value in (("airspeed", V), ("alpha", alpha), ("theta", theta), ("q", body[1]), ("altitude", h)):
         np.testing.assert_allclose(out[name], value, rtol=1e-9, err_msg=name)
     for name, value in (("p", body[0]), ("r", body[2]), ("psi_dot", turn), ("ay", 0.0)):

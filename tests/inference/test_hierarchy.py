@@ -16,6 +16,7 @@ from bayes_aero.simulate.demo import TRUTH
 Y = np.array([[0.4, -0.2], [1.1, 0.3], [0.2, 0.5]])
 C = np.array([[[0.04, 0.01], [0.01, 0.09]], [[0.02, -0.01], [-0.01, 0.03]], [[0.5, 0.2], [0.2, 0.1]]])
 ESTIMATES, ERRORS = np.array([[0.9], [0.1], [0.4], [1.3]]), np.array([0.1, 0.2, 0.3, 0.15])  # of one parameter
+ALONE = pooled.Hierarchy.of(("a",), ESTIMATES, 1.0 / ERRORS[:, None, None] ** 2)
 
 
 class Means(np.random.Generator):
@@ -26,10 +27,6 @@ class Means(np.random.Generator):
 
     def standard_normal(self, size=None, *_, **__):
         return np.zeros(size)
-
-
-def one_parameter():
-    return pooled.Hierarchy.of(("a",), ESTIMATES, 1.0 / ERRORS[:, None, None] ** 2)
 
 
 def marginal(scatter, y=Y, covariance=C):
@@ -66,7 +63,7 @@ def test_the_density_of_the_scatter_is_that_of_all_estimates_together():
 @pytest.mark.parametrize("scatter", [1e-6, 0.3, 1e4])
 def test_a_known_scatter_gives_the_shrinkage_estimate(scatter):
     """No scatter: the joint estimate. Large scatter: each manoeuvre alone. Between: weights by precision."""
-    means = pooled.given_scatter(one_parameter(), np.full((1, 1, 1), scatter), Means())
+    means = pooled.given_scatter(ALONE, np.full((1, 1, 1), scatter), Means())
     y, variance = ESTIMATES[:, 0], ERRORS**2
     weight = 1.0 / (variance + scatter**2)
     aircraft = np.sum(weight * y) / (1.0 + np.sum(weight))  # with the prior, a standard normal distribution
@@ -97,7 +94,7 @@ def test_draws_at_a_known_scatter_have_the_covariance_of_the_closed_form():
 
 
 def test_nuts_finds_the_scatter_that_integration_on_a_grid_finds():
-    density = one_parameter()
+    density = ALONE
     draws, sampled = pooled.pool(density, seed=1)
     tau = np.linspace(1e-4, 4.0, 20_001)
     variance = ERRORS[:, None] ** 2 + tau**2

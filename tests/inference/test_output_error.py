@@ -27,9 +27,11 @@ from bayes_aero.inference.output_error import (
 from bayes_aero.inference.prediction_error import fit_prediction_error
 from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.jobs.fly import fly
+from bayes_aero.jobs.results import fly_results
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.parameter import Prior
+from bayes_aero.report.pages.fly import fly_sentences, parameter_rows
 
 SHORT_PERIOD, TRUTH = cards.SHORT_PERIOD, cards.SHORT_PERIOD_TRUTH
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003}
@@ -160,14 +162,19 @@ STILL = cards.short_period_flight(TRUTH | {"Zde": 0.0, "Mde": 0.0}, n=200, x0=(0
 STILL["elevator"] = np.zeros(200)
 
 
+STILL_TEXT = (
+    SHORT_PERIOD
+    + """
+[parameters.Mde]
+prior = { family = "normal", location = -2.5, scale = 0.7 }
+[parameters.Zde]
+prior = { family = "normal", location = 0.1, scale = 0.3 }
+"""
+)
+
+
 def test_what_the_record_does_not_move_is_held_by_its_prior_or_undetermined(short_period):
-    prior = """
-    [parameters.Mde]
-    prior = { family = "normal", location = -2.5, scale = 0.7 }
-    [parameters.Zde]
-    prior = { family = "normal", location = 0.1, scale = 0.3 }
-    """
-    flown = flown_of(SHORT_PERIOD + prior, STILL, 4)
+    flown = flown_of(STILL_TEXT, STILL, 4)
     fit, free = fit_output_error(flown), fit_output_error(flown, prior_weight=0.0)
     assert set(fit.held_by_prior) == set(free.undetermined) == {"Zde", "Mde"}
     assert free.held_by_prior == short_period[1].held_by_prior == ()
@@ -182,9 +189,26 @@ def test_what_the_record_does_not_move_is_held_by_its_prior_or_undetermined(shor
         assert value_of(free, name) == pytest.approx(value_of(fit, name), rel=1e-3)
     # Without priors a wrong one does not count.
     text = SHORT_PERIOD + '\n[parameters.Mq]\nprior = { family = "normal", location = 5.0, scale = 0.001 }\n'
-    fit, right = fit_output_error(flown_of(text, BRIEF, 1), prior_weight=0.0), short_period[1]
+    right = short_period[1]
+    fit = fit_output_error(flown_of(text, BRIEF, 1), start=right.estimate, prior_weight=0.0)
     assert np.all(np.abs(fit.estimate - right.estimate) < 0.05 * right.crb)
     np.testing.assert_allclose(fit.sd, fit.crb, rtol=1e-6)
+
+
+def test_what_is_undetermined_and_whose_the_priors_are_is_reported():
+    record, card = noisy(STILL, 4, name="flight"), cards.card_of(STILL_TEXT)
+    free, held = (fly([record], card, priors=priors) for priors in (False, True))
+    rows = parameter_rows(free.flown)
+    assert {name for name, row in rows.items() if row["undetermined"]} == {"Zde", "Mde"}
+    assert {name for name, row in rows.items() if np.isinf(row["sd_corrected"])} == {"Zde", "Mde"}
+    assert {row["prior"] for row in rows.values()} == {None}
+    assert any("do not determine Zde and Mde" in line for line in fly_sentences(free.flown))
+    rows = parameter_rows(held.flown)
+    assert rows["Zde"]["prior"]["default"] is False
+    assert rows["Mq"]["prior"] == {
+        "family": "normal", "location": 0.0, "scale": 1000.0, "source": "flat in effect; our choice", "default": True,
+    }  # fmt: skip
+    assert fly_results(held, card, [record], {}).initial_states["flight"]["q"].prior_sd == 0.01
 
 
 def test_a_parameter_that_is_held_keeps_its_value_and_moves_the_others(short_period):

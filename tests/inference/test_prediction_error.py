@@ -51,12 +51,6 @@ def white(seed: int, *shape: int) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(shape)
 
 
-def autoregressive(seed: int, rho: float, n: int) -> np.ndarray:
-    """Standard normal, neighbours correlated by `rho`."""
-    x = lfilter([np.sqrt(1.0 - rho**2)], [1.0, -rho], white(seed, n + 100))[100:]
-    return x[None, :, None]
-
-
 def disturbed_short_period():
     """A minute of the short period in white process noise, each sample exact: matrix exponentials, no integration."""
     rng, truth = np.random.default_rng(4), TRUTH
@@ -156,7 +150,8 @@ def test_calibrated_predictions_are_seldom_said_not_to_be(rho):
     """At most one in twenty: an exact binomial bound on 200 records of three outputs; and so for quantiles."""
     said = left = 0
     for seed in range(200):
-        z = np.concatenate([autoregressive(3 * seed + c, rho, 1000) for c in range(3)], axis=2)
+        series = [lfilter([np.sqrt(1.0 - rho**2)], [1.0, -rho], white(3 * seed + c, 1100))[100:] for c in range(3)]
+        z = np.stack(series, axis=1)[None]
         found = judged(z)
         said += found.status == "not_calibrated"
         _, value, low, high = found.outputs["y0"].quantiles.T

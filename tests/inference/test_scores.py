@@ -29,17 +29,13 @@ def measured(clean, colour: Colour, size: float = 1.0) -> tuple[Density, np.ndar
     return eqx.tree_at(lambda d: d.observations, density, clean.with_measured(noisy)), x
 
 
-def tied(density: Density, column: np.ndarray) -> float:
-    return neighbours(column, np.asarray(density.observations.start))
-
-
 @pytest.mark.parametrize("colour", Colour)
 def test_data_of_the_model_are_uniform_and_independent_and_twice_the_noise_is_not(clean, colour):
     """It falls beyond the outer twentieths as often as a normal deviate beyond half the limits: 2 Phi(-0.822)."""
     density, x = measured(clean, colour)
     for column in pit(density, x[None]).T:
         assert kstest(column, "uniform").pvalue > 1e-3
-        assert abs(tied(density, column)) < 4.0 / np.sqrt(len(column))
+        assert abs(neighbours(column, np.asarray(density.observations.start))) < 4.0 / np.sqrt(len(column))
         assert histogram(column).outside <= 1
     density, x = measured(clean, colour, size=2.0)
     for column in pit(density, x[None]).T:
@@ -56,7 +52,7 @@ def test_white_predictions_of_coloured_data_show_their_colour(clean):
     white = Density(density.observations, density.model, Noise(Colour.WHITE))
     values = pit(white, np.array([[x[density.names.index(n)] for n in white.names]]))
     for column in values.T:
-        assert tied(density, column) == pytest.approx(0.9, abs=0.05)
+        assert neighbours(column, np.asarray(density.observations.start)) == pytest.approx(0.9, abs=0.05)
 
 
 def test_uncertain_parameters_widen_the_prediction(clean):
