@@ -160,21 +160,16 @@ def test_residuals_of_the_last_step_and_deviations_are_those_of_the_simulation(s
 
 STILL = cards.short_period_flight(TRUTH | {"Zde": 0.0, "Mde": 0.0}, n=200, x0=(0.1, -0.1))
 STILL["elevator"] = np.zeros(200)
-
-
-STILL_TEXT = (
-    SHORT_PERIOD
-    + """
+PRIORS = """
 [parameters.Mde]
 prior = { family = "normal", location = -2.5, scale = 0.7 }
 [parameters.Zde]
 prior = { family = "normal", location = 0.1, scale = 0.3 }
 """
-)
 
 
 def test_what_the_record_does_not_move_is_held_by_its_prior_or_undetermined(short_period):
-    flown = flown_of(STILL_TEXT, STILL, 4)
+    flown = flown_of(SHORT_PERIOD + PRIORS, STILL, 4)
     fit, free = fit_output_error(flown), fit_output_error(flown, prior_weight=0.0)
     assert set(fit.held_by_prior) == set(free.undetermined) == {"Zde", "Mde"}
     assert free.held_by_prior == short_period[1].held_by_prior == ()
@@ -196,7 +191,7 @@ def test_what_the_record_does_not_move_is_held_by_its_prior_or_undetermined(shor
 
 
 def test_what_is_undetermined_and_whose_the_priors_are_is_reported():
-    record, card = noisy(STILL, 4, name="flight"), cards.card_of(STILL_TEXT)
+    record, card = noisy(STILL, 4, name="flight"), cards.card_of(SHORT_PERIOD + PRIORS)
     free, held = (fly([record], card, priors=priors) for priors in (False, True))
     rows = parameter_rows(free.flown)
     assert {name for name, row in rows.items() if row["undetermined"]} == {"Zde", "Mde"}

@@ -233,8 +233,8 @@ def at_mode(linear):
 
 @pytest.fixture(scope="module")
 def posteriors(at_mode):
-    nuts = sampling.sample_nuts(*at_mode, seed=5, predictive=False)
-    return {"emcee": sampling.sample_ensemble(*at_mode, seed=5), "nuts": nuts}
+    nuts = sampling.sample_nuts(*at_mode, seed=5, length=sampling.NutsLength(4, 300), predictive=False)
+    return {"emcee": sampling.sample_ensemble(*at_mode, seed=5, length=sampling.EnsembleLength(2)), "nuts": nuts}
 
 
 @pytest.mark.parametrize("engine", ["emcee", "nuts"])
