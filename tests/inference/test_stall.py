@@ -335,13 +335,17 @@ def test_density_is_that_of_the_multivariate_normal_and_standardises_its_noise(t
 
 def test_unbounded_scale_is_a_bijection_with_the_stated_slope(thinned, model):
     density = Density(thinned, model, Noise(Colour.BUFFET_AR1))
-    rng = np.random.default_rng(4)
-    x = jnp.asarray(density.sample_prior(rng, 1)[0])
-    u = density.unconstrain(x)
-    np.testing.assert_allclose(density.constrain(u), x, rtol=1e-9)
-    slope = jnp.log(jnp.abs(jnp.diag(jax.jacfwd(density.constrain)(u))))
-    expected = density.log_likelihood(x) + density.log_prior(x) + jnp.sum(slope)
-    assert float(density(u)) == pytest.approx(float(expected), rel=1e-10)
+    x = jnp.asarray(density.sample_prior(np.random.default_rng(4), 1)[0])
+
+    @eqx.filter_jit
+    def there_and_back(density, x):
+        u = density.unconstrain(x)
+        slope = jnp.log(jnp.abs(jnp.diag(jax.jacfwd(density.constrain)(u))))
+        return density.constrain(u), density(u), density.log_likelihood(x) + density.log_prior(x) + jnp.sum(slope)
+
+    back, value, expected = there_and_back(density, x)
+    np.testing.assert_allclose(back, x, rtol=1e-9)
+    assert float(value) == pytest.approx(float(expected), rel=1e-10)
 
 
 def test_a_chain_too_short_is_not_called_converged(at_mode):
