@@ -1,4 +1,4 @@
-"""Fits of flights whose truth is known by every engine; output error: intervals, settings, and what it cannot tell."""
+"""Flights of shipped linear cards whose truth is known; output error: intervals, settings, what it cannot tell."""
 
 from dataclasses import replace
 
@@ -15,7 +15,6 @@ from bayes_aero.dynamics.flight import aircraft_dynamics, linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import shipped_cards
-from bayes_aero.inference.frequency import linear_in_band
 from bayes_aero.inference.output_error import (
     MAX_GROWTH,
     SeparatedFlow,
@@ -70,11 +69,6 @@ def with_process_noise(flown):
     return fit, fit.sd
 
 
-def in_a_band(flown):
-    fit = linear_in_band(flown.flights, flown.dynamics, (0.1, 1.5))[0][1]
-    return fit, fit.crb_corrected
-
-
 SPEED = 90.0  # m/s, of the flight by which az follows alpha
 SHIPPED_TRUTH = TRUTH | {
     "azalpha": SPEED * TRUTH["Zalpha"], "azde": SPEED * TRUTH["Zde"]
@@ -87,14 +81,14 @@ PROBLEMS = {  # a shipped card: a flight by the matrix exponential, the truth, a
 
 @pytest.mark.parametrize(("engine", "problem"), [
     (by_output_error, "short_period"), (by_output_error, "lateral"), (with_process_noise, "lateral"),
-    (in_a_band, "short_period"),
 ])  # fmt: skip
 def test_the_truth_comes_back(engine, problem):
+    """In a band of frequencies it does in `test_frequency_fit.py`."""
     simulate, truth, precise = PROBLEMS[problem]
     text = shipped_cards()[problem].read_text()
     mapped = {c.name for c in cards.card_of(text).channels}
     fit, sd = engine(flown_of(text, {name: x for name, x in simulate(truth).items() if name in mapped}, 2))
-    assert {*fit.names, *getattr(fit, "unseen", ())} == set(truth)
+    assert set(fit.names) == set(truth)
     off = {n: (x - truth[n]) / s for n, x, s in zip(fit.names, fit.estimate, sd, strict=True) if s > 0.0}
     assert max(map(abs, off.values())) < 4.0, off
     for name in precise:
