@@ -1,6 +1,7 @@
 """Fixtures that several test folders share."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,9 +12,11 @@ import typechecker  # before the package is imported
 from bayes_aero.diagnosis.diagnose import diagnose, view_of
 from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.flight.card import read_card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import join, observe
 from bayes_aero.model.records import Forming
 from bayes_aero.processes import full_of_programs, give_back_memory
 from bayes_aero.simulate.demo import simulate_stall
@@ -93,6 +96,17 @@ def clean_records(card):
 def clean(clean_records, card, model):
     """Observations of the clean simulated manoeuvres."""
     return observe(clean_records, card, model)
+
+
+@pytest.fixture(scope="session")
+def everything(card):
+    """Flights that have every channel, none at rest or mere noise, for what asks which effects a record can show."""
+    rng, time = np.random.default_rng(0), np.arange(200) * 0.04
+    names = [name for name in STANDARD_CHANNELS if name != "time"]
+    waves = {name: np.sin(rng.uniform(1.0, 4.0) * time + rng.uniform(0.0, 6.0)) for name in names}
+    around = {"airspeed": 80.0, "density": 1.0, "thrust": 9e3, "az": -9.8, "mach": 0.3, "altitude": 5e3}
+    channels = {name: around[name] + 0.02 * x if name in around else 0.14 * x for name, x in waves.items()}
+    return join([FlightRecord.from_arrays("run", time, channels)], replace(card, sums={}, constants={}))
 
 
 @pytest.fixture(scope="session")

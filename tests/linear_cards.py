@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
 from bayes_aero.dynamics.pilot import pulses, three_two_one_one
-from bayes_aero.flight.card import Card, parse_card
+from bayes_aero.flight.card import Card, parse_card, shipped_cards
 from bayes_aero.flight.record import FlightRecord
 
 SHORT_PERIOD = """
@@ -41,43 +41,10 @@ SHORT_PERIOD_TRUTH = {
     "Z0": 0.02, "Zalpha": -0.9, "Zde": -0.06, "M0": 0.08, "Malpha": -2.1, "Mq": -1.3, "Mde": -3.0, "az0": -9.7,
 }  # fmt: skip
 
-LATERAL = """
-[channels]
-time = { label = "t", unit = "s" }
-p = { label = "p", unit = "deg/s" }
-r = { label = "r", unit = "deg/s" }
-beta = { label = "beta", unit = "deg" }
-aileron_left = { label = "da_l", unit = "deg" }
-aileron_right = { label = "da_r", unit = "deg" }
-rudder = { label = "dr", unit = "deg" }
-p_dot = { label = "pdot", unit = "deg/s^2" }
-
-[linear]
-states = ["p", "r"]
-[linear.rates.p]
-L0 = "1"
-Lp = "p"
-Lr = "r"
-Lbeta = "beta"
-Lda = { aileron_left = 0.5, aileron_right = -0.5 }
-Ldr = "rudder"
-[linear.rates.r]
-N0 = "1"
-Np = "p"
-Nr = "r"
-Nbeta = "beta"
-Ndr = "rudder"
-[linear.outputs.p_dot]
-L0 = "1"
-Lp = "p"
-Lr = "r"
-Lbeta = "beta"
-Lda = { aileron_left = 0.5, aileron_right = -0.5 }
-Ldr = "rudder"
-"""
+LATERAL = shipped_cards()["lateral"].read_text()
 LATERAL_TRUTH = {
     "L0": 0.01, "Lp": -2.2, "Lr": 0.7, "Lbeta": -4.5, "Lda": -5.0, "Ldr": 1.1,
-    "N0": -0.005, "Np": -0.08, "Nr": -0.4, "Nbeta": 2.0, "Ndr": -1.4,
+    "N0": -0.005, "Np": -0.08, "Nr": -0.4, "Nbeta": 2.0, "Nda": 0.3, "Ndr": -1.4,
 }  # fmt: skip
 
 FIRST_ORDER = """
@@ -121,11 +88,18 @@ def multistep(n, dt, begin, unit, size):
     return pulses(np.arange(n) * dt, three_two_one_one(begin, unit, size))
 
 
+def short_period_matrices(truth):
+    """A and B of alpha and q, driven by elevator and one."""
+    return (
+        np.array([[truth["Zalpha"], 1.0], [truth["Malpha"], truth["Mq"]]]),
+        np.array([[truth["Zde"], truth["Z0"]], [truth["Mde"], truth["M0"]]]),
+    )
+
+
 def short_period_flight(truth, n=500, dt=0.04, x0=(0.04, 0.01)):
     """True channels of a flight from `x0`: two multisteps of the elevator."""
     u = multistep(n, dt, 1.0, 0.5, 0.03) + multistep(n, dt, 9.0, 0.8, -0.04)
-    A = np.array([[truth["Zalpha"], 1.0], [truth["Malpha"], truth["Mq"]]])
-    B = np.array([[truth["Zde"], truth["Z0"]], [truth["Mde"], truth["M0"]]])
+    A, B = short_period_matrices(truth)
     x = first_order_hold(A, B, x0, np.stack([u, np.ones(n)], axis=1), dt)
     az = truth["az0"] + 90.0 * (truth["Zalpha"] * x[:, 0] + truth["Zde"] * u)
     return {"alpha": x[:, 0], "q": x[:, 1], "elevator": u, "az": az}
@@ -147,17 +121,11 @@ def lateral_flight(truth, n=500, dt=0.04, x0=(0.02, -0.01)):
     t = np.arange(n) * dt
     da, dr = multistep(n, dt, 1.0, 0.4, 0.05), multistep(n, dt, 8.0, 0.6, 0.04)
     beta = CubicSpline(np.linspace(0.0, t[-1], 25), 0.03 * np.sin(1.7 * np.arange(25)))(t)
-    k = truth
-    A = np.array([[k["Lp"], k["Lr"]], [k["Np"], k["Nr"]]])
-    B = np.array([[k["Lbeta"], k["Lda"], k["Ldr"], k["L0"]], [k["Nbeta"], 0.0, k["Ndr"], k["N0"]]])
-    u = np.stack([beta, da, dr, np.ones(n)], axis=1)
-    x = first_order_hold(A, B, x0, u, dt)
-    p_dot = (x @ A.T + u @ B.T)[:, 0]
+    A = np.array([[truth[axis + name] for name in ("p", "r")] for axis in "LN"])
+    B = np.array([[truth[axis + name] for name in ("beta", "da", "dr", "0")] for axis in "LN"])
+    p, r = first_order_hold(A, B, x0, np.stack([beta, da, dr, np.ones(n)], axis=1), dt).T
     left, right = 1.3 * da, -0.7 * da  # half their difference is what rolls
-    return {
-        "p": x[:, 0], "r": x[:, 1], "beta": beta, "aileron_left": left, "aileron_right": right, "rudder": dr,
-        "p_dot": p_dot,
-    }  # fmt: skip
+    return {"p": p, "r": r, "beta": beta, "aileron_left": left, "aileron_right": right, "rudder": dr}
 
 
 def record_of(channels, dt=0.04, noise=None, rng=None, name="linear"):

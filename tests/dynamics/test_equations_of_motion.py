@@ -107,20 +107,18 @@ def wings_not_level(t):
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("stall", [False, True])
-def test_without_lateral_input_it_is_longitudinal_motion(stall):
-    effects = (*six.LONGITUDINAL, *(six.STALL if stall else ()))
-    plane = Plane(**six.ATTACHED | {"stalls": stall}, tau1=20.0 * stall, alpha_star=0.12)
+def test_without_lateral_input_it_is_longitudinal_motion():
+    effects = (*six.LONGITUDINAL, *six.STALL)
+    plane = Plane(**six.ATTACHED | {"stalls": True}, tau1=20.0, alpha_star=0.12)
     model = six.model(effects, (Axis.LONGITUDINAL,))
     flat = Longitudinal(model, six.values(plane, model), six.aircraft(plane))
     whole = body(plane, six.model((*effects, *six.LATERAL)))
     u = moved(501, 0.04)
     ends = []
     for system in (flat, whole):
-        start = jnp.array([float(START.get(n, 0.0)) for n in system.start])
-        first = {name: x[0] for name, x in u.items()}
-        ends.append(fly(system, system.state_at_start(system.complete_start(start, first)), u, 0.04, 3).outputs)
-    assert float(jnp.ptp(ends[0]["X"])) > 0.1 or not stall
+        start = system.complete_start(start_of(system, **START), {name: x[0] for name, x in u.items()})
+        ends.append(fly(system, system.state_at_start(start), u, 0.04, 3).outputs)
+    assert float(jnp.ptp(ends[0]["X"])) > 0.1
     for name, x in ends[0].items():
         np.testing.assert_allclose(ends[1][name], x, rtol=1e-9, atol=1e-9, err_msg=name)
 
@@ -137,44 +135,24 @@ def test_a_centre_of_gravity_aside_and_uneven_engines_turn_it_as_another_simulat
     u = {name: jnp.asarray(y) for name, y in first.items() if name in stranger_six.CONTROLS or name == "thrust"}
     _, found = system.motion(state_at_start(system, **first), model.corrected(known, u, system.aircraft))
     np.testing.assert_allclose([found[f"{n}_dot"] for n in ("p", "q", "r")], theirs[3:6], rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(
-        [found[n] for n in ("ax", "ay", "az")], [first[n] for n in ("ax", "ay", "az")], rtol=1e-6
-    )
+    for name in ("ax", "ay", "az"):
+        np.testing.assert_allclose(found[name], first[name], rtol=1e-6)
     assert np.abs(theirs[3:6] - EVEN.rates(x, controls)[3:6])[[0, 2]].min() > 0.01
-
-
-@pytest.fixture(scope="module")
-def flown():
-    """Aileron and rudder of the other simulator."""
-    return {kind: stranger_six.fly(ODD, kind, np.random.default_rng(2), seconds=20.0) for kind in ("aileron", "rudder")}
 
 
 SEEN = ("airspeed", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi", "altitude", "ax", "ay", "az")
 
 
-@pytest.mark.parametrize("euler", [False, True])
-def test_it_flies_as_another_simulator_does(flown, euler):
-    system = body(ODD, euler=euler)
-    for flight in flown.values():
-        u = inputs(flight)
-        found = fly(system, state_at_start(system, **{n: flight[n][0] for n in system.start}), u, 0.04, 2).outputs
+@pytest.mark.parametrize(("kind", "moving", "least"), [("aileron", "p", 0.2), ("rudder", "beta", 0.1)])
+def test_it_flies_as_another_simulator_does(kind, moving, least):
+    flight = stranger_six.fly(ODD, kind, np.random.default_rng(2), seconds=15.0)
+    assert np.ptp(flight[moving]) > least
+    for euler in (False, True):
+        system = body(ODD, euler=euler)
+        start = state_at_start(system, **{n: flight[n][0] for n in system.start})
+        found = fly(system, start, inputs(flight), 0.04, 2).outputs
         for name in SEEN:
             np.testing.assert_allclose(found[name], flight[name], rtol=2e-7, atol=2e-7, err_msg=name)
-    assert np.ptp(flown["aileron"]["p"]) > 0.2
-    assert np.ptp(flown["rudder"]["beta"]) > 0.1
-
-
-def test_coefficients_are_taken_apart_again(flown):
-    """What accelerometers and rates of the simulated flight say of CL, CD, Cm, CY, Cl, Cn is what the model said."""
-    system = body(ODD)
-    moved_point = eqx.tree_at(lambda s: s.aircraft.reference_point, system, (0.2, -0.1, 0.15))
-    flight = flown["rudder"]
-    u = inputs(flight)
-    found = fly(moved_point, state_at_start(system, **{n: flight[n][0] for n in system.start}), u, 0.04).outputs
-    signals = found | u | {"density": jnp.asarray([ODD.density(float(h)) for h in found["altitude"]])}
-    apart = coefficients(signals, moved_point.aircraft)
-    for name in ("CL", "CD", "Cm", "CY", "Cl", "Cn"):
-        np.testing.assert_allclose(apart[name], found[name], rtol=1e-6, atol=1e-9, err_msg=name)
 
 
 def test_an_axis_without_a_model_is_prescribed():
@@ -238,16 +216,13 @@ def test_the_integration_is_of_fourth_order_and_substeps_are_steps():
     np.testing.assert_allclose(coarse.states, fine.states[::4], rtol=1e-12)
 
 
-@pytest.mark.parametrize("lag", [0.0, 20.0])
-def test_coefficients_taken_apart_are_those_put_together(card, lag):
+def test_coefficients_taken_apart_are_those_put_together(card):
     """What the sensors of a simulated stall would show gives back the CL, CD, Cm it was flown with."""
     n = 251
     t = np.arange(n) * DT
     u = moved(n, DT, elevator=-0.10 - 0.010 * t, mach=np.full(n, 0.3), **wings_not_level(t))
-    effects = card.effects if lag else [name for name in card.effects if name != "separation_lag"]
-    flown = longitudinal(effects, card.aircraft, tau1=lag, tau2=20.0)
-    first = jnp.concatenate([begin(V=90.0, alpha=0.2, theta=0.2), jnp.full(int(lag > 0.0), 0.9)])
-    flight = fly(flown, first, u, DT)
+    flown = longitudinal(card.effects, card.aircraft, tau1=20.0, tau2=20.0)
+    flight = fly(flown, jnp.append(begin(V=90.0, alpha=0.2, theta=0.2), 0.9), u, DT)
     assert bool(jnp.all(flight.inside))
     s = flight.outputs
     assert float(s["X"].min()) < 0.5
@@ -255,10 +230,10 @@ def test_coefficients_taken_apart_are_those_put_together(card, lag):
     seen = {name: s[name] for name in ("ax", "az", "q", "q_dot", "alpha", "airspeed")}
     seen |= {name: u[name] for name in ("p", "r", "p_dot", "r_dot", "thrust")} | {"density": air(s["altitude"])[0]}
     assert min(abs(x) for x in card.aircraft.accelerometer) > 0.05
+    apart = coefficients(seen, card.aircraft)
     for name in NAMES:
-        value = coefficients(seen, card.aircraft)[name]
-        assert float(jnp.ptp(value)) > 1e-3
-        np.testing.assert_allclose(value, s[name], rtol=1e-10, atol=1e-13, err_msg=name)
+        assert float(jnp.ptp(apart[name])) > 1e-3
+        np.testing.assert_allclose(apart[name], s[name], rtol=1e-10, atol=1e-13, err_msg=name)
 
 
 def test_alpha_dot_solves_its_equation(card):
@@ -319,36 +294,30 @@ def test_the_separation_point_lags_as_a_state(card):
     assert float(s["X"]) == 0.4
 
 
-@pytest.mark.parametrize("lag", [0.0, 15.0])
-def test_sensitivities_are_those_of_finite_differences(card, lag):
+def test_sensitivities_are_those_of_finite_differences(card):
     """Through the stall with hysteresis, where each step solves for alpha-dot."""
-    dropped = {"mach_lift"} if lag else {"mach_lift", "separation_lag"}
-    model = Model.of([name for name in card.effects if name not in dropped])
-    names = [name for name in model.names if name != "tau1" or lag]
+    model = Model.of([name for name in card.effects if name not in ("mach_lift", "separation_lag")])
     t = np.arange(301) * DT
     u = moved(301, DT, elevator=-0.11 + 0.06 * np.sin(0.9 * t), thrust=np.full(301, 1.5e4))
-    base = jnp.asarray([dict(TRUTH, tau1=lag, tau2=20.0)[name] for name in names])
+    base = jnp.asarray([dict(TRUTH, tau2=20.0)[name] for name in model.names])
 
-    @jax.jit
     def respond(theta):
-        values = dict(zip(names, theta, strict=True))
-        flown = Longitudinal(model, values, card.aircraft, True)
-        x = jnp.concatenate([begin(V=90.0, alpha=0.2, theta=0.2), jnp.full(int(lag > 0.0), 1.0)])
+        flown = Longitudinal(model, dict(zip(model.names, theta, strict=True)), card.aircraft, True)
         first = {name: value[0] for name, value in u.items()}
-        found = integrate(flown, flown.complete_start(x, first), u, DT)
-        return jnp.stack([found.outputs[name] for name in ("airspeed", "alpha", "theta", "q", "az", "X")], axis=1)
+        shown = integrate(flown, flown.complete_start(begin(V=90.0, alpha=0.2, theta=0.2), first), u, DT).outputs
+        return jnp.stack([shown[name] for name in ("airspeed", "alpha", "theta", "q", "az", "X")], axis=1)
 
-    nominal = respond(base)
+    along = jax.jit(lambda theta, direction: jax.jvp(respond, (theta,), (direction,)))
+    for name, value, direction in zip(model.names, base, jnp.eye(len(base)), strict=True):
+        h = 1e-6 * max(0.1, abs(float(value)))
+        nominal, slope = along(base, direction)
+        up, down = (along(base + sign * h * direction, direction)[0] for sign in (1, -1))
+        size = jnp.abs(slope).max(axis=0)
+        assert float(size[1]) > 0.0
+        error = jnp.abs((up - down) / (2.0 * h) - slope).max(axis=0)
+        assert np.all(np.asarray(error) <= 1e-4 * np.asarray(size) + 1e-9), name
     assert float(nominal[:, 5].min()) < 0.4
     assert float(jnp.min(jnp.diff(nominal[:, 1]))) < -1e-3  # alpha falls, so that the hysteresis acts
-    slopes = jax.jit(jax.jacfwd(respond))(base)
-    for k, name in enumerate(names):
-        h = 1e-6 * max(0.1, abs(float(base[k])))
-        up, down = (respond(base.at[k].add(sign * h)) for sign in (1, -1))
-        size = jnp.abs(slopes[:, :, k]).max(axis=0)
-        assert float(size[1]) > 0.0
-        error = jnp.abs((up - down) / (2.0 * h) - slopes[:, :, k]).max(axis=0)
-        assert np.all(np.asarray(error) <= 1e-4 * np.asarray(size) + 1e-9), name
 
 
 def test_what_leaves_the_envelope_stops_and_a_start_that_is_no_number_is_outside(card):
@@ -398,17 +367,17 @@ def flight():
     return stranger_six.fly(PLANE, "stall", np.random.default_rng(4), dt=DT, seconds=20.0, V=95.0)
 
 
-def begun(flight, **options):
+def begun(flight):
     """The system with its start and inputs, of which nobody gives the separation points."""
-    system, u = RigidBody(*model_and_values(), six.aircraft(PLANE), **options), inputs(flight)
+    system, u = RigidBody(*model_and_values(), six.aircraft(PLANE)), inputs(flight)
     first = {name: x[0] for name, x in u.items()}
     start = system.complete_start(start_of(system, **{n: x[0] for n, x in flight.items()}), first)
     return system, system.state_at_start(start), u
 
 
-@pytest.mark.parametrize("euler", [False, True])
-def test_two_lags_fly_as_those_of_another_simulator(flight, euler):
-    system, start, u = begun(flight, euler=euler)
+def test_two_lags_fly_as_those_of_another_simulator_and_as_the_coefficients_of_a_record(flight):
+    """The lag of sampled static points, linear between samples, against the states that were integrated."""
+    system, start, u = begun(flight)
     assert system.states[-2:] == ("X_right", "X_left")
     found = fly(system, start, u, DT, 2)
     assert found.outputs["X"].min() < 0.5
@@ -416,19 +385,13 @@ def test_two_lags_fly_as_those_of_another_simulator(flight, euler):
     for name in SEEN:
         atol = 5e-5 * np.ptp(flight[name])  # an aircraft that rolls by itself in the stall grows what rounding leaves
         np.testing.assert_allclose(found.outputs[name], flight[name], atol=atol, err_msg=name)
-
-
-def test_coefficients_of_the_record_are_those_of_the_simulation(flight):
-    """The lag of sampled static points against the states that were integrated; linear between samples."""
-    system, start, u = begun(flight)
-    found = fly(system, start, u, DT, 2)
     n = len(flight["time"])
     signals = found.outputs | u | {"dt": jnp.full(n, DT), "start": jnp.arange(n) == 0}
-    known = system.model.flow(system.values, signals, system.aircraft)
-    both = np.stack([known["X"] + side * known["X_difference"] / 2.0 for side in (1.0, -1.0)], axis=1)
+    flow = jax.jit(lambda s: system.model.flow(system.values, s, system.aircraft))(signals)
+    both = np.stack([flow["X"] + side * flow["X_difference"] / 2.0 for side in (1.0, -1.0)], axis=1)
     np.testing.assert_allclose(both, found.states[:, -2:], atol=5e-4)
     for name in ("CL", "CD", "Cm", "CY", "Cl", "Cn"):
-        np.testing.assert_allclose(known[name], found.outputs[name], atol=5e-4 * np.ptp(found.outputs[name]))
+        np.testing.assert_allclose(flow[name], found.outputs[name], atol=5e-4 * np.ptp(found.outputs[name]))
 
 
 def test_a_record_is_flown_with_both(flight, tmp_path):
@@ -440,7 +403,7 @@ def test_a_record_is_flown_with_both(flight, tmp_path):
     dynamics = aircraft_dynamics(model, flights)
     flown = segments(flights, dynamics, fixed={}, substeps=2)
     theta = jnp.array([known[name] for name in model.names])
-    found = simulate(flown, theta, jnp.zeros((1, len(dynamics.start))))
+    found = eqx.filter_jit(simulate)(flown.nameless, theta, jnp.zeros((1, len(dynamics.start))))
     scale = np.ptp(np.asarray(found.measured[0]), axis=0)
     assert np.all(np.abs(np.asarray(found.residual[0])) < 2e-4 * scale + 1e-6)
     with pytest.raises(InputError, match="initial state has X_left"):
@@ -497,32 +460,32 @@ def test_the_published_modes_of_a_jet_transport():
         assert abs(found[name] - value) < 1e-3 * abs(value), name
 
 
-@pytest.mark.parametrize("plane", [EVEN, Plane(**six.ATTACHED, engine_arm=0.0, Cnbe=0.05, Clbe=-0.12)])
-def test_modes_are_those_of_another_simulator(plane):
+LONG, LAT = (Axis.LONGITUDINAL,), (Axis.LATERAL,)
+ALL = {"short period", "phugoid", "Dutch roll", "roll", "spiral"}
+PLANES = {  # effects, axes and names of the modes; cards of one axis have its own
+    "both axes": (EVEN, (*six.LONGITUDINAL, *six.LATERAL), six.BOTH, ALL),
+    "stable dihedral": (
+        Plane(**six.ATTACHED, engine_arm=0.0, Cnbe=0.05, Clbe=-0.12), (*six.LONGITUDINAL, *six.LATERAL), six.BOTH, ALL,
+    ),
+    "longitudinal": (EVEN, six.LONGITUDINAL, LONG, {"short period", "phugoid"}),
+    "lateral": (EVEN, six.LATERAL, LAT, {"Dutch roll", "roll", "spiral"}),
+    "unstable": (Plane(**six.ATTACHED, Cma=0.5), six.LONGITUDINAL, LONG, {"short period, aperiodic", "phugoid"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("which", PLANES)
+def test_modes_are_those_of_another_simulator(which):
     """The eigenvalues are the same in body velocities and in airspeed and flow angles."""
-    dynamics, values = dynamics_of(plane, *six.LONGITUDINAL, *six.LATERAL)
-    found = of(modes(dynamics, values, six.aircraft(plane), Steady(120.0, 4000.0)))
-    assert set(found) == {"short period", "phugoid", "Dutch roll", "roll", "spiral"}
+    plane, effects, axes, names = PLANES[which]
+    dynamics, values = dynamics_of(plane, *effects, axes=axes)
+    trim = stranger_six.level(plane, 120.0, 4000.0)[0]
+    steady = Steady(120.0, 4000.0, float(np.arctan2(trim[2], trim[0])) if axes == LAT else 0.0)
+    found = modes(dynamics, values, six.aircraft(plane), steady)
+    assert {mode.name for mode in found} == names
     theirs = np.linalg.eigvals(derivative(plane, 120.0, 4000.0))
-    for name, value in found.items():
-        assert np.min(np.abs(theirs - value)) < 1e-6 * max(1.0, abs(value)), name
-
-
-def test_cards_of_one_axis_have_its_modes():
-    """Of an aircraft with a plane of symmetry in level flight both axes are apart."""
-    steady = Steady(120.0, 4000.0)
-    both, values = dynamics_of(EVEN, *six.LONGITUDINAL, *six.LATERAL)
-    whole = of(modes(both, values, six.aircraft(EVEN), steady))
-    alone, own = dynamics_of(EVEN, *six.LONGITUDINAL, axes=(Axis.LONGITUDINAL,))
-    found = of(modes(alone, own, six.aircraft(EVEN), steady))
-    assert set(found) == {"short period", "phugoid"}
-    np.testing.assert_allclose([found[n] for n in found], [whole[n] for n in found], rtol=1e-8)
-    trim = stranger_six.level(EVEN, 120.0, 4000.0)[0]
-    side, own = dynamics_of(EVEN, *six.LATERAL, axes=(Axis.LATERAL,))
-    alpha = float(np.arctan2(trim[2], trim[0]))
-    found = of(modes(side, own, six.aircraft(EVEN), Steady(120.0, 4000.0, alpha)))
-    assert set(found) == {"Dutch roll", "roll", "spiral"}
-    np.testing.assert_allclose([found[n] for n in found], [whole[n] for n in found], rtol=1e-6)
+    for mode in found:
+        assert np.min(np.abs(theirs - mode.eigenvalue)) < 1e-6 * max(1.0, abs(mode.eigenvalue)), mode.name
+    assert which != "unstable" or max(mode.eigenvalue.real for mode in found) > 0.1
 
 
 def test_a_linear_card_has_the_eigenvalues_of_its_matrix():
@@ -535,17 +498,6 @@ def test_a_linear_card_has_the_eigenvalues_of_its_matrix():
     dynamics = linear_dynamics(read_card("lateral"))
     values = dict.fromkeys(dynamics.names, 0.0) | {"Lp": -2.5, "Nr": -0.4}
     assert of(modes(dynamics, values, NO_AIRCRAFT, Steady(100.0, 0.0))) == {"roll": -2.5, "other": -0.4}
-
-
-def test_an_unstable_aircraft_has_no_short_period_oscillation():
-    plane = Plane(**six.ATTACHED, Cma=0.5)
-    dynamics, values = dynamics_of(plane, *six.LONGITUDINAL, axes=(Axis.LONGITUDINAL,))
-    found = modes(dynamics, values, six.aircraft(plane), Steady(120.0, 4000.0))
-    theirs = np.linalg.eigvals(derivative(plane, 120.0, 4000.0))
-    assert max(mode.eigenvalue.real for mode in found) > 0.1
-    assert "short period, aperiodic" in {mode.name for mode in found}
-    for mode in found:
-        assert np.min(np.abs(theirs - mode.eigenvalue)) < 1e-6
 
 
 def test_a_lag_of_the_separation_adds_a_mode_and_moves_no_other():

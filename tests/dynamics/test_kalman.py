@@ -6,18 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.kalman import (
-    Disturbances,
-    FilterInputs,
-    LinearisedFilter,
-    discrete_noise,
-    gains,
-    kalman_filter,
-    linear_innovations,
-    log_likelihood,
-    noise_derivatives,
-    smooth,
-)
+from bayes_aero.dynamics import kalman
 from bayes_aero.dynamics.system import LinearSystem, advance, integrate, later
 
 # The extended Kalman filter against another library, finite differences and closed forms
@@ -35,83 +24,68 @@ def system():
 
 
 @pytest.fixture(scope="module")
-def record(system):
+def discrete(system):
+    """An input, the transition matrix, and what the input adds in every step: by advancing unit states."""
+    de, ahead = 0.05 * np.sign(np.sin(2.0 * np.pi * np.arange(N) * DT / 3.0)), eqx.filter_jit(advance)
+
+    def step(x, k):
+        now, then = ({"de": jnp.asarray(de[min(at, N - 1)])} for at in (k, k + 1))
+        return np.asarray(ahead(system, jnp.asarray(x), now, then, DT, 1))
+
+    added = np.array([step(np.zeros(2), k) for k in range(N)])
+    return de, np.array([step(e, 0) - added[0] for e in np.eye(2)]).T, added
+
+
+@pytest.fixture(scope="module")
+def record(discrete):
     """A disturbed flight with noise, an output at a fifth of the rate, and a gap."""
-    rng = np.random.default_rng(7)
-    ahead = eqx.filter_jit(advance)
-    de = 0.05 * np.sign(np.sin(2.0 * np.pi * np.arange(N) * DT / 3.0))
+    rng, (de, transition, added) = np.random.default_rng(7), discrete
     x, rows = START + np.sqrt(np.diag(P0)) * rng.standard_normal(2), []
-    for k in range(N):
-        rows.append([*x, MATRIX[2] @ [*x, de[k], 1.0]])
-        later = de[min(k + 1, N - 1)]
-        x = np.asarray(ahead(system, jnp.asarray(x), {"de": jnp.asarray(de[k])}, {"de": jnp.asarray(later)}, DT, 1))
-        x = x + np.sqrt(DT) * F * rng.standard_normal(2)
+    for u, step in zip(de, added, strict=True):
+        rows.append([*x, MATRIX[2] @ [*x, u, 1.0]])
+        x = transition @ x + step + np.sqrt(DT) * F * rng.standard_normal(2)
     z = np.array(rows) + np.sqrt(R) * rng.standard_normal((N, 3))
     z[np.arange(N) % 5 != 0, 2] = np.nan
     z[120:160, 0] = np.nan
-    return {"de": de}, z
+    return z
 
 
 @eqx.filter_jit
-def compiled(system, start, P0, inputs, z, F, R):
-    variance = jnp.tile(jnp.asarray(R), (N, 1))
-    rows = FilterInputs(start, P0, inputs, later(inputs), z, variance, jnp.ones((N, 3)), DT)
-    return kalman_filter(system, rows, F, NAMES)
+def filtered(system, de, z, P0, F):
+    inputs, variance = {"de": jnp.asarray(de)}, jnp.tile(jnp.asarray(R), (N, 1))
+    given = jnp.asarray(START), jnp.asarray(P0), inputs, later(inputs), jnp.asarray(z), variance, jnp.ones((N, 3)), DT
+    return kalman.kalman_filter(system, kalman.FilterInputs(*given), jnp.asarray(F), NAMES)
 
 
-def filtered(system, record, F=F, R=R, P0=P0, start=START):
-    inputs, z = record
-    return compiled(
-        system, jnp.asarray(start), jnp.asarray(P0), {"de": jnp.asarray(inputs["de"])}, jnp.asarray(z),
-        jnp.asarray(F), R,
-    )  # fmt: skip
-
-
-def discrete(system, inputs):
-    """Transition matrix, input of every step, noise of a step: by advancing unit states."""
-    de = inputs["de"]
-    later = np.append(de[1:], de[-1])
-    ahead = eqx.filter_jit(advance)
-
-    def step(x, k):
-        now, then = ({"de": jnp.asarray(y[k])} for y in (de, later))
-        return np.asarray(ahead(system, jnp.asarray(x), now, then, DT, 1))
-
-    offset = np.array([step(np.zeros(2), k) for k in range(N)])
-    transition = np.array([step(e, 0) - offset[0] for e in np.eye(2)]).T
-    # test_gusts holds gathered_noise against Van Loan's integral.
-    noise = np.asarray(discrete_noise(jnp.asarray(transition), jnp.asarray(F**2), DT))
-    return transition, offset, noise
-
-
-def test_a_linear_system_agrees_with_statsmodels(system, record):
+def test_a_linear_system_agrees_with_statsmodels(system, discrete, record):
     """Likelihood, predictions, estimates and smoothed states to 1e-8, missing samples included."""
     mlemodel = pytest.importorskip("statsmodels.tsa.statespace.kalman_smoother")
-    inputs, z = record
-    transition, offset, noise = discrete(system, inputs)
+    (de, transition, added), z = discrete, record
+    # test_gusts holds the noise of a step against Van Loan's integral.
+    noise = np.asarray(kalman.discrete_noise(jnp.asarray(transition), jnp.asarray(F**2), DT))
     other = mlemodel.KalmanSmoother(k_endog=3, k_states=2)
     other.bind(z)
     other["design"] = np.concatenate([np.eye(2), MATRIX[2:, :2]])
-    shift = MATRIX[2, 2] * inputs["de"] + MATRIX[2, 3]
+    shift = MATRIX[2, 2] * de + MATRIX[2, 3]
     other["obs_intercept"] = np.stack([np.zeros(N), np.zeros(N), shift])
     other["obs_cov"], other["transition"], other["selection"] = np.diag(R), transition, np.eye(2)
-    other["state_intercept"], other["state_cov"] = offset.T, noise
+    other["state_intercept"], other["state_cov"] = added.T, noise
     other.initialize_known(START, P0)
-    theirs, ours = other.smooth(), filtered(system, record)
-    assert float(log_likelihood(ours)) == pytest.approx(theirs.llf, rel=1e-8)
+    theirs, ours = other.smooth(), filtered(system, de, z, P0, F)
+    assert float(kalman.log_likelihood(ours)) == pytest.approx(theirs.llf, rel=1e-8)
     np.testing.assert_allclose(ours.predicted, theirs.predicted_state.T[:-1], rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(ours.state, theirs.filtered_state.T, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(ours.covariance, np.moveaxis(theirs.filtered_state_cov, 2, 0), rtol=1e-8, atol=1e-12)
-    x, P = smooth(ours)
+    x, P = eqx.filter_jit(kalman.smooth)(ours)
     np.testing.assert_allclose(x, theirs.smoothed_state.T, rtol=1e-7, atol=1e-8)
     np.testing.assert_allclose(P, np.moveaxis(theirs.smoothed_state_cov, 2, 0), rtol=1e-7, atol=1e-10)
 
 
-def test_innovations_without_process_noise_are_those_of_output_error(system, record):
+def test_innovations_without_process_noise_are_those_of_output_error(system, discrete, record):
     """They are the residuals of the simulation, their variance that of the measurement."""
-    inputs, z = record
-    found = filtered(system, record, F=np.zeros(2), P0=np.zeros((2, 2)))
-    flown = integrate(system, jnp.asarray(START), {"de": jnp.asarray(inputs["de"])}, DT)
+    de, z = discrete[0], record
+    found = filtered(system, de, z, np.zeros((2, 2)), np.zeros(2))
+    flown = eqx.filter_jit(integrate)(system, jnp.asarray(START), {"de": jnp.asarray(de)}, DT)
     residual = z - np.stack([flown.outputs[name] for name in NAMES], axis=1)
     used = np.asarray(found.used)
     np.testing.assert_allclose(np.asarray(found.innovation)[used], residual[used], rtol=1e-8, atol=1e-10)
@@ -123,7 +97,7 @@ def test_gains_are_those_of_the_whole_sample_and_ask_no_library():
     rng, there = np.random.default_rng(3), np.arange(7) != 2
     root, C, variance = rng.normal(size=(5, 5)), rng.normal(size=(7, 5)), rng.uniform(0.1, 2.0, 7)
     P, seen = root @ root.T, C[there]
-    gain, innovate = gains(*map(jnp.asarray, (P, C, variance, there)))
+    gain, innovate = jax.jit(kalman.gains)(P, C, variance, there)
     S = seen @ P @ seen.T + np.diag(variance[there])
     factor = np.linalg.cholesky(S)
     np.testing.assert_allclose(gain[:, there], np.linalg.solve(S, seen @ P).T, atol=1e-12)
@@ -131,7 +105,7 @@ def test_gains_are_those_of_the_whole_sample_and_ask_no_library():
     np.testing.assert_allclose(innovate[np.ix_(there, there)], np.linalg.inv(factor / np.diag(factor)), atol=1e-12)
     # Two calls of LAPACK for a thousand matrices each, in one program, wait for each other on two cores.
     many = (jnp.broadcast_to(x, (1000, *np.shape(x))) for x in (P, C, variance, there))
-    assert "custom_call" not in jax.jit(jax.vmap(gains)).lower(*many).as_text()
+    assert "custom_call" not in jax.jit(jax.vmap(kalman.gains)).lower(*many).as_text()
 
 
 # Derivatives of the linearised filter against automatic differentiation and finite differences
@@ -145,18 +119,18 @@ def drawn():
     rng = np.random.default_rng(20)
     normal = lambda *shape: jnp.asarray(rng.normal(size=shape))
     residual = jnp.where(jnp.asarray(rng.random((W, SAMPLES, C)) < 0.2), jnp.nan, normal(W, SAMPLES, C))
-    lin = LinearisedFilter(
+    lin = kalman.LinearisedFilter(
         0.1 * normal(W, SAMPLES, S), 0.1 * normal(W, SAMPLES, S), 0.1 * normal(W, SAMPLES, S),
         0.9 * jnp.eye(S) + 0.05 * normal(W, SAMPLES, S, S), jnp.zeros((W, SAMPLES, S, 0)), residual,
         normal(W, SAMPLES, C, S), jnp.zeros((W, SAMPLES, C, 0)), 0.1 * normal(W, S), jnp.zeros((W, S, 0)),
         1.0 + 0.1 * jnp.abs(normal(W, SAMPLES, C)), jnp.zeros((W, SAMPLES, C, 0)),
     )  # fmt: skip
     decay = jnp.zeros((W, SAMPLES, S)).at[..., 2].set(0.5)
-    noise = Disturbances(
+    noise = kalman.Disturbances(
         jnp.abs(normal(W, SAMPLES, S)), 0.1 + jnp.abs(normal(W, SAMPLES, C)), jnp.eye(S) + jnp.zeros((W, S, S)), decay
     )
     start = normal(W, S, S, M)
-    slopes = Disturbances(
+    slopes = kalman.Disturbances(
         normal(W, SAMPLES, S, M), normal(W, SAMPLES, C, M), start + jnp.swapaxes(start, 1, 2),
         jnp.zeros((W, SAMPLES, S, M)).at[..., 2, :].set(normal(W, SAMPLES, M)),
     )  # fmt: skip
@@ -165,9 +139,8 @@ def drawn():
 
 def test_the_derivative_by_the_noise_is_that_of_forward_differentiation(drawn):
     lin, noise, slopes = drawn
-    found = noise_derivatives(lin, noise, slopes, STEPS)
-    for m in range(M):
-        along = Disturbances(*(x[..., m] for x in slopes))
-        _, (e, variance) = jax.jvp(lambda noise: linear_innovations(lin, noise, STEPS), (noise,), (along,))
-        np.testing.assert_allclose(found[0][..., m], e[..., 0], atol=1e-11)
-        np.testing.assert_allclose(found[1][..., m], variance, atol=1e-11)
+    e, variance = jax.jit(kalman.noise_derivatives)(lin, noise, slopes, STEPS)
+    along = lambda slope: jax.jvp(lambda noise: kalman.linear_innovations(lin, noise, STEPS), (noise,), (slope,))[1]
+    by_jax = jax.jit(jax.vmap(along, in_axes=-1, out_axes=-1))(slopes)
+    np.testing.assert_allclose(e, by_jax[0][..., 0, :], atol=1e-11)
+    np.testing.assert_allclose(variance, by_jax[1], atol=1e-11)

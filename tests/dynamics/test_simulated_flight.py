@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,20 +10,7 @@ import six_axes as six
 import stranger_six
 from stranger_six import Plane
 
-from bayes_aero.dynamics.pilot import (
-    SECONDS,
-    FlightState,
-    Pilot,
-    fly,
-    fly_standard,
-    multisine_inputs,
-    multisines,
-    pulses,
-    ramps,
-    rounded,
-    steps,
-    three_two_one_one,
-)
+from bayes_aero.dynamics import pilot as flying
 from bayes_aero.dynamics.trim import Condition, conditions, lead, level_speed, rigid_trim, trimmed
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.errors import InputError
@@ -31,10 +19,12 @@ from bayes_aero.physics.aircraft import GRAVITY, air
 from bayes_aero.physics.coefficients import coefficients, condition_joined
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.physics.kinematics import Rotation, lever_arm
-from bayes_aero.simulate.demo import PROFILES, TRUTH
+from bayes_aero.simulate.demo import TRUTH
 
 # Trim from the model's own coefficients, whatever its parameters are called and whichever control pitches it
 AIRSPEED, ALTITUDE = 95.0, 5200.0
+DT = 0.04
+INNER = slice(20, -20)
 
 
 def values(**changes):
@@ -46,22 +36,11 @@ def pitched_by(card, *effects):
     return Model.of([*(e for e in card.effects if e != "elevator_moment"), *effects])
 
 
-def standard(model, card, **changes):
-    return fly_standard(model, values(**changes), card.aircraft, Condition(AIRSPEED, ALTITUDE), dt=0.04)[::2]
-
-
-def test_the_command_is_the_textbook_s_and_of_a_control_that_pitches_up_the_other_way(card):
+def test_the_command_is_the_textbook_s(card):
     alpha = jnp.asarray([0.05, 0.1, 0.2])
     shares, command = lead(Model.of(card.effects), values(), card.aircraft, alpha, AIRSPEED, ALTITUDE)
     np.testing.assert_array_equal(shares, [1.0, 0.0])
     np.testing.assert_allclose(command, -(TRUTH["Cm0"] + TRUTH["Cma"] * alpha) / TRUTH["Cmde"], rtol=1e-14)
-    usual, refused = standard(Model.of(card.effects), card)
-    own, refused_own = standard(Model.of(card.effects), card, Cmde=-TRUTH["Cmde"])
-    assert not refused
-    assert not refused_own
-    for name, channels in usual.items():
-        np.testing.assert_allclose(own[name]["elevator"], -channels["elevator"], atol=1e-9)
-        np.testing.assert_allclose(own[name]["alpha"], channels["alpha"], atol=1e-9)
 
 
 @pytest.mark.parametrize("mach", [None, 0.3])
@@ -73,18 +52,65 @@ def test_at_level_speed_the_attached_lift_carries_the_weight(card, mach):
     assert lift == pytest.approx(card.aircraft.mass * GRAVITY, rel=1e-9)
 
 
-def test_a_model_is_flown_by_its_stabilizer_or_cannot_be_trimmed(card):
+@pytest.fixture(scope="module")
+def standard(card):
+    """The standard manoeuvres of a model that its stabilizer pitches, as a function of its values."""
     model = pitched_by(card, "stabilizer_trim")
-    flown, refused = standard(model, card)
-    assert not refused
+
+    def flown(**changes):
+        level = Condition(AIRSPEED, ALTITUDE)
+        flights, _, refused = flying.fly_standard(model, values(**changes), card.aircraft, level, dt=DT)
+        assert not refused
+        return flights
+
+    return model, flown(), flown(Cmih=2.0)
+
+
+def test_a_model_is_flown_by_its_stabilizer_of_either_sign_or_cannot_be_trimmed(card, standard):
+    model, flown, turned = standard
     doublet = flown["elevator_doublet"]
     assert np.all(doublet["elevator"] == 0.0)
     assert np.ptp(doublet["stabilizer"]) > np.deg2rad(3.0)
     begin = trimmed(model, values(), card.aircraft, AIRSPEED, ALTITUDE)
     assert doublet["alpha"][:25] == pytest.approx(begin.alpha, abs=np.deg2rad(0.1))
     assert np.ptp(doublet["alpha"]) > np.deg2rad(1.0)
+    for name in flown.keys() - {"stabilizer_steps"}:  # those are prescribed, not the pilot's
+        np.testing.assert_allclose(turned[name]["stabilizer"], -flown[name]["stabilizer"], atol=1e-9)
+        np.testing.assert_allclose(turned[name]["alpha"], flown[name]["alpha"], atol=1e-9)
     with pytest.raises(InputError, match="neither elevator nor stabilizer pitches it"):
         trimmed(pitched_by(card), values(), card.aircraft, AIRSPEED, ALTITUDE)
+
+
+@pytest.mark.parametrize("flight", ["sideslip", "slow_stall"])
+def test_the_record_obeys_rigid_body_kinematics_and_gives_the_coefficients_back(card, standard, flight):
+    """Euler's and the body-axis velocity equations, from accelerations moved to the CG, against derivatives."""
+    s = {name: jnp.asarray(x) for name, x in standard[1][flight].items()}
+    assert (float(jnp.ptp(s["beta"])) > 0.1) == (flight == "sideslip") == (float(s["X"].min()) > 0.5)
+    slope = jax.jit(lambda x: differentiate(x, DT))
+    rates = [slope(s[name]) for name in ("p", "q", "r")]
+    felt = lever_arm(Rotation(s["p"], s["q"], s["r"], *rates), card.aircraft.accelerometer)
+    ax, ay, az = (s[f"a{k}"] - arm for k, arm in zip("xyz", felt, strict=True))
+    V, al, be, th, ph = (s[name] for name in ("airspeed", "alpha", "beta", "theta", "phi"))
+    u, v, w = V * jnp.cos(al) * jnp.cos(be), V * jnp.sin(be), V * jnp.sin(al) * jnp.cos(be)
+    p, q, r = s["p"], s["q"], s["r"]
+    equations = {
+        "u": (u, r * v - q * w + ax - GRAVITY * jnp.sin(th)),
+        "v": (v, p * w - r * u + ay + GRAVITY * jnp.cos(th) * jnp.sin(ph)),
+        "w": (w, q * u - p * v + az + GRAVITY * jnp.cos(th) * jnp.cos(ph)),
+        "theta": (th, q * jnp.cos(ph) - r * jnp.sin(ph)),
+        "phi": (ph, p + jnp.tan(th) * (q * jnp.sin(ph) + r * jnp.cos(ph))),
+        "h": (s["altitude"], u * jnp.sin(th) - (v * jnp.sin(ph) + w * jnp.cos(ph)) * jnp.cos(th)),
+    }
+    for name, (x, equation) in equations.items():
+        error = float(jnp.sqrt(jnp.mean((slope(x) - equation)[INNER] ** 2)))
+        assert error <= 2e-3 * float(jnp.std(slope(x)[INNER])), name
+    # What `physics.coefficients` makes of the record is what was flown, to the error of its smoothing.
+    n = len(s["alpha"])
+    ends = jnp.full(n, DT), jnp.zeros(n, int), jnp.full(n, n - 1)
+    apart = jax.jit(lambda s: coefficients(condition_joined(s, *ends), card.aircraft))(s)
+    for name in ("CL", "CD", "Cm"):
+        error = np.asarray(apart[name] - s[name])[INNER]
+        assert np.sqrt(np.mean(error**2)) < 1e-3, name
 
 
 # Steady flight in six degrees of freedom: the equations of another simulator say that nothing changes in it
@@ -111,22 +137,21 @@ def rates(found):
 
 @pytest.mark.parametrize("sideslip", [0.0, 0.1])
 def test_nothing_changes_in_steady_flight(sideslip):
-    found = trimmed_six(sideslip=sideslip)
-    slope = rates(found)
+    steady = trimmed_six(sideslip=sideslip)
+    slope = rates(steady)
     np.testing.assert_allclose(slope[:6], 0.0, atol=1e-6)
     np.testing.assert_allclose(slope[6:9], 0.0, atol=1e-9)
     assert slope[9] == pytest.approx(0.0, abs=1e-6)
-    assert found.state["beta"] == sideslip
+    assert steady.state["beta"] == sideslip
+    if not sideslip:  # that of the other simulator
+        x, controls = stranger_six.level(PLANE, SPEED, HEIGHT)
+        assert steady.state["alpha"] == pytest.approx(np.arctan2(x[2], x[0]), rel=1e-6)
+        assert steady.controls["elevator"] == pytest.approx(controls[0], rel=1e-5)
+        assert steady.thrust == pytest.approx(controls[3] + controls[4], rel=1e-6)
 
 
-def test_level_flight_is_found_and_what_cannot_be_held_is_refused():
-    x, controls = stranger_six.level(PLANE, SPEED, HEIGHT)
-    found = trimmed_six()
-    assert found.state["alpha"] == pytest.approx(np.arctan2(x[2], x[0]), rel=1e-6)
-    assert found.controls["elevator"] == pytest.approx(controls[0], rel=1e-5)
-    assert found.thrust == pytest.approx(controls[3] + controls[4], rel=1e-6)
+def test_what_cannot_be_held_is_refused():
     effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL) if n not in ("rudder_yaw", "rudder_roll")]
-    assert abs(trimmed_six(effects).state["phi"]) < 1e-9
     with pytest.raises(InputError, match=r"4000 m with sideslip 5\.73 deg that elevator, aileron can hold"):
         trimmed_six(effects, sideslip=0.1)
     with pytest.raises(InputError, match="no steady flight at 30 m/s"):
@@ -134,58 +159,15 @@ def test_level_flight_is_found_and_what_cannot_be_held_is_refused():
 
 
 # The simulated flight against flight mechanics that was not taken from the simulator
-DT = 0.04
-N = 2001
-INNER = slice(20, -20)
-
-
-def pilot(n: int = N, **changes) -> Pilot:
-    return Pilot(alpha=jnp.zeros(n), thrust=jnp.zeros(n))._replace(**changes)
-
-
-def state(V, alpha, theta, q=0.0, h=3000.0, X=1.0) -> FlightState:
-    return FlightState(*(jnp.asarray(float(x)) for x in (V, alpha, theta, q, h, X)))
-
-
-def weave(n: int = N) -> tuple[np.ndarray, np.ndarray]:
-    """Bank of 30 deg and sideslip of 4 deg either way, smooth."""
-    t = np.arange(n) * DT
-    return np.deg2rad(30.0) * np.sin(0.5 * t) ** 3, np.deg2rad(4.0) * np.sin(0.7 * t + 1.0)
-
-
 BARE = Effect(
     "bare", Kind.AERODYNAMICS, Stage.TOTAL, "Constant coefficients.", (), (),
     lambda v, *_: {name: v[name] for name in ("CL", "CD", "Cm")}, Example({}, {}, {}, "-"), "-",
 )  # fmt: skip
 
 
-def bare(CL=0.0, CD=0.0, Cm=0.0) -> dict:
-    """Values of a model of constant coefficients; the elevator is powerless."""
-    return {name: jnp.asarray(float(x)) for name, x in {"CL": CL, "CD": CD, "Cm": Cm, "Cmde": 1.0}.items()}
-
-
-@pytest.fixture(scope="module")
-def stall(card):
-    """A stall with banks and sideslip, noise-free."""
-    model = Model.of(card.effects)
-    phi, beta = weave()
-    time = np.arange(N) * DT
-    p = pilot(
-        alpha=jnp.asarray(np.deg2rad(ramps(time, PROFILES[0]))),
-        thrust=jnp.asarray(np.interp(time, [0, 5, 8], [22e3, 22e3, 5e3])),
-        phi=jnp.asarray(phi),
-        beta=jnp.asarray(beta),
-    )
-    flight = fly(model, values(), card.aircraft, [p], [state(95, np.deg2rad(6), np.deg2rad(6), h=5200)], DT)[0]
-    return {name: jnp.asarray(x) for name, x in flight.items()}
-
-
-@pytest.mark.parametrize("degrees", [-30.0, 20.0, 45.0])
+@pytest.mark.parametrize("degrees", [-30.0, 45.0])
 def test_steady_level_turn(card, degrees):
-    """Lift m g/cos(bank) holds a level turn of rate g tan(bank)/V at constant speed (any flight-mechanics text).
-
-    There the bank is that of the lift, of sine cos(theta) sin(phi).
-    """
+    """Lift m g/cos(bank) holds a turn of rate g tan(bank)/V, the bank that of the lift, of sine cos(theta) sin(phi)."""
     phi, V, alpha, h = np.deg2rad(degrees), 90.0, 0.12, 3000.0
     a = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0), reference_point=(0.0, 0.0, 0.0))
     theta = np.arctan(np.tan(alpha) * np.cos(phi))
@@ -194,9 +176,11 @@ def test_steady_level_turn(card, degrees):
     body = turn * np.array([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)])
     qS = 0.5 * float(air(jnp.asarray(h))[0]) * V**2 * a.wing_area
     gyro = (a.Iz - a.Ix) * body[0] * body[2] + a.Ixz * (body[2] ** 2 - body[0] ** 2)
-    values = bare(CL=a.mass * GRAVITY / np.cos(bank) / qS, Cm=-gyro / (qS * a.chord))
-    start = state(V, alpha, theta, body[1])
-    out = fly(Model.of([BARE]), values, a, [pilot(50, phi=jnp.full(50, phi))], [start], DT)[0]
+    values = {"CL": a.mass * GRAVITY / np.cos(bank) / qS, "CD": 0.0, "Cm": -gyro / (qS * a.chord), "Cmde": 1.0}
+    values = {name: jnp.asarray(float(x)) for name, x in values.items()}  # the elevator is powerless
+    start = flying.FlightState(*(jnp.asarray(float(x)) for x in (V, alpha, theta, body[1], h, 1.0)))
+    pilot = flying.Pilot(alpha=jnp.zeros(50), thrust=jnp.zeros(50), phi=jnp.full(50, phi))
+    (out,) = flying.fly(Model.of([BARE]), values, a, [pilot], [start], DT)
     for name, value in (("airspeed", V), ("alpha", alpha), ("theta", theta), ("q", body[1]), ("altitude", h)):
         np.testing.assert_allclose(out[name], value, rtol=1e-9, err_msg=name)
     for name, value in (("p", body[0]), ("r", body[2]), ("psi_dot", turn), ("ay", 0.0)):
@@ -204,45 +188,11 @@ def test_steady_level_turn(card, degrees):
     np.testing.assert_allclose(np.hypot(out["ax"], out["az"]), GRAVITY / np.cos(bank), rtol=1e-9)
 
 
-def test_the_record_obeys_rigid_body_kinematics_and_gives_the_coefficients_back(card, stall):
-    """Euler's and the body-axis velocity equations, from accelerations moved to the CG, against derivatives."""
-    s = stall
-    d = {
-        name: differentiate(s[name], DT)
-        for name in ("airspeed", "alpha", "beta", "theta", "phi", "altitude", "p", "q", "r")
-    }
-    rotation = Rotation(s["p"], s["q"], s["r"], d["p"], d["q"], d["r"])
-    ax, ay, az = (
-        s[f"a{k}"] - arm for k, arm in zip("xyz", lever_arm(rotation, card.aircraft.accelerometer), strict=True)
-    )
-    V, al, be, th, ph = (s[name] for name in ("airspeed", "alpha", "beta", "theta", "phi"))
-    u, v, w = V * jnp.cos(al) * jnp.cos(be), V * jnp.sin(be), V * jnp.sin(al) * jnp.cos(be)
-    p, q, r = s["p"], s["q"], s["r"]
-    found = {
-        "u": (differentiate(u, DT), r * v - q * w + ax - GRAVITY * jnp.sin(th)),
-        "v": (differentiate(v, DT), p * w - r * u + ay + GRAVITY * jnp.cos(th) * jnp.sin(ph)),
-        "w": (differentiate(w, DT), q * u - p * v + az + GRAVITY * jnp.cos(th) * jnp.cos(ph)),
-        "theta": (d["theta"], q * jnp.cos(ph) - r * jnp.sin(ph)),
-        "phi": (d["phi"], p + jnp.tan(th) * (q * jnp.sin(ph) + r * jnp.cos(ph))),
-        "h": (d["altitude"], u * jnp.sin(th) - (v * jnp.sin(ph) + w * jnp.cos(ph)) * jnp.cos(th)),
-    }
-    for name, (derivative, equation) in found.items():
-        error = float(jnp.sqrt(jnp.mean((derivative - equation)[INNER] ** 2)))
-        assert error < 2e-3 * float(jnp.std(derivative[INNER])), name
-    # What `physics.coefficients` makes of the record is what was flown, to the error of its smoothing.
-    n = len(stall["alpha"])
-    ends = jnp.full(n, DT), jnp.zeros(n, int), jnp.full(n, n - 1)
-    found = coefficients(condition_joined(stall, *ends), card.aircraft)
-    for name, limit in (("CL", 2e-3), ("CD", 1e-3), ("Cm", 1e-3)):
-        error = np.asarray(found[name] - stall[name])[INNER]
-        assert np.sqrt(np.mean(error**2)) < limit, name
-
-
 # Conditions of the stall, from signals made by hand
 def test_conditions_are_those_of_the_largest_lift_not_of_the_largest_angle():
     """Lift peaks in the first tenth; the angle of attack in the last, with the elevator pulled further."""
     n = 100
-    alpha, elevator, az = np.full(n, 0.1), np.full(n, -0.05), np.full(n, -9.8)
+    alpha, elevator, az = (np.full(n, x) for x in (0.1, -0.05, -9.8))
     az[:10], elevator[:10] = -12.0, -0.15
     alpha[-10:], elevator[-10:] = 0.4, -0.28
     signals = {"alpha": alpha, "elevator": elevator, "az": az, "density": np.full(n, 1.0), "airspeed": np.full(n, 50.0)}
@@ -257,27 +207,24 @@ def test_conditions_are_those_of_the_largest_lift_not_of_the_largest_angle():
 TIME = np.arange(-125, 1500) * DT
 
 
-@pytest.mark.parametrize("begin", [5.0, 32.0])
-def test_a_3_2_1_1_lasts_as_many_samples_as_its_name_says(begin):
+def test_a_3_2_1_1_lasts_as_many_samples_as_its_name_says():
     """Units of 0.8 s, 20 samples each: edges fall on samples, though 3 x 0.8 is not 2.4 in floating point."""
-    signal = pulses(TIME, three_two_one_one(begin, 0.8, 2.0))
+    signal = flying.pulses(TIME, flying.three_two_one_one(32.0, 0.8, 2.0))
     changes = np.flatnonzero(np.diff(signal)) + 1
-    np.testing.assert_allclose(TIME[changes[0]], begin)
+    np.testing.assert_allclose(TIME[changes[0]], 32.0)
     np.testing.assert_array_equal(np.diff(changes), [60, 40, 20, 20])
     np.testing.assert_array_equal(signal[changes], [2.0, -2.0, 2.0, -2.0, 0.0])
-
-
-def test_a_later_pulse_replaces_an_earlier_one_while_it_lasts():
-    signal = pulses(TIME, [(1.0, 10.0, 1.0), (3.0, 5.0, -2.0), *steps((20.0, 4.0))])
+    # A later pulse replaces an earlier one while it lasts.
+    signal = flying.pulses(TIME, [(1.0, 10.0, 1.0), (3.0, 5.0, -2.0), *flying.steps((20.0, 4.0))])
     at = lambda t: signal[np.searchsorted(TIME, t)]
     assert [at(t) for t in (0.5, 2.0, 4.0, 7.0, 15.0, 59.0)] == [0.0, 1.0, -2.0, 1.0, 0.0, 4.0]
 
 
-@pytest.mark.parametrize("dt", [0.01, 0.04, 0.5])
+@pytest.mark.parametrize("dt", [0.04, 0.5])
 def test_a_rounded_step_ends_where_the_step_ends_and_is_half_way_at_its_middle(dt):
     time = np.arange(-10.0, 10.0, dt)
     step = np.where(time < -0.25 * dt, 0.0, 1.0)
-    smooth = rounded(step, 2.0, dt)
+    smooth = flying.rounded(step, 2.0, dt)
     assert len(smooth) == len(time)
     np.testing.assert_allclose(smooth[np.abs(time) > 1.0 + dt], step[np.abs(time) > 1.0 + dt], atol=1e-12)
     assert np.all(np.diff(smooth) > -1e-12)
@@ -295,12 +242,8 @@ def peak_factor(signal):
     return np.ptp(signal) / (2.0 * np.sqrt(2.0 * np.mean(np.square(signal))))
 
 
-@pytest.fixture(scope="module")
-def three():
-    return multisines(ONE_PERIOD, PERIOD, BAND, 3)
-
-
-def test_multisines_are_orthogonal_and_stay_so_through_any_linear_system(three):
+def test_multisines_are_orthogonal_and_share_no_frequency():
+    three = flying.multisines(ONE_PERIOD, PERIOD, BAND, 3)
     shared = three @ three.T
     np.testing.assert_allclose(shared - np.diag(np.diag(shared)), 0.0, atol=1e-10 * shared[0, 0])
     spectra = np.abs(np.fft.rfft(three)) > 1e-6 * len(ONE_PERIOD)
@@ -308,17 +251,12 @@ def test_multisines_are_orthogonal_and_stay_so_through_any_linear_system(three):
     assert np.all(spectra.sum(axis=0) <= 1)
     excited = frequencies[spectra.any(axis=0)]
     np.testing.assert_allclose(excited, np.arange(3, 36) / PERIOD)  # every multiple of 1/T from 0.1 to 1.4 Hz
-    # Of a whole period, circular convolution with any response keeps the frequencies.
-    response = np.exp(-ONE_PERIOD)[None, :] * np.array([[1.0], [-2.0], [0.5]])
-    answers = np.fft.irfft(np.fft.rfft(three) * np.fft.rfft(response), len(ONE_PERIOD))
-    shared = answers @ answers.T
-    np.testing.assert_allclose(shared - np.diag(np.diag(shared)), 0.0, atol=1e-10 * np.max(shared))
 
 
 @pytest.mark.parametrize(("controls", "least"), [(1, 1.1), (3, 1.3)])
 def test_peaks_are_small_and_the_signal_begins_at_zero(controls, least):
     """In phase 33 cosines have a relative peak factor of about 4; Morelli accepts up to 1.3 for a few of them."""
-    signals = multisines(np.arange(0.0, PERIOD, 0.005), PERIOD, BAND, controls)
+    signals = flying.multisines(np.arange(0.0, PERIOD, 0.005), PERIOD, BAND, controls)
     np.testing.assert_allclose(signals[:, 0], 0.0, atol=1e-9)
     for signal in signals:
         assert peak_factor(signal) < least
@@ -326,9 +264,8 @@ def test_peaks_are_small_and_the_signal_begins_at_zero(controls, least):
 
 
 def test_multisines_of_the_standard_manoeuvre():
-    assert peak_factor(np.sin(2.0 * np.pi * np.arange(1000) / 1000.0)) == pytest.approx(1.0, rel=1e-6)
-    time = np.arange(0.0, SECONDS, DT)
-    signals = multisine_inputs(time, 3)
+    time = np.arange(0.0, flying.SECONDS, DT)
+    signals = flying.multisine_inputs(time, 3)
     one, two = (signals[:, round(begin / DT) : round((begin + PERIOD) / DT)] for begin in (5.0, 30.0))
     np.testing.assert_allclose(one, two, atol=1e-9)
     assert not np.any(signals[:, time < 5.0 - DT / 2])
