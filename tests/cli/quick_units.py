@@ -1,7 +1,4 @@
-"""Preloaded into the workers of the tests of clusters: units that take a moment, and numbers that depend on the unit.
-
-A record called "deadly" kills the process that reads it, as one does that wants more memory than there is.
-"""
+"""Preloaded into workers: units that take a moment, with their own numbers; "deadly" ones kill the process."""
 
 import hashlib
 import os
