@@ -2,6 +2,7 @@
 
 import shutil
 import signal
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +13,7 @@ import pytest
 from calling import called, recorded, succeeded
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, record_of, short_period_flight
 
-from bayes_aero.flight.card import read_card
+from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference import pooled
 from bayes_aero.inference.sampling import EnsembleLength, NutsLength, find_mode, sample_ensemble, sample_nuts
@@ -75,12 +76,9 @@ def identified(tmp_path_factory, clean_records, card):
         (folder / "results" / name).write_text("of another day")
     doubt = HealthFinding("second", "altitude", "unit", None, None, "second: altitude is in ft", grave=True)
     short = NutsLength(chains=1, warmup=100, max_blocks=1, metric=False)
-    engines = {
-        "emcee": partial(sample_ensemble, length=EnsembleLength(2, 100)),
-        "nuts": partial(sample_nuts, length=short),
-    }
+    ensemble, nuts = partial(sample_ensemble, length=EnsembleLength(2, 100)), partial(sample_nuts, length=short)
     with (
-        patch.object(identify, "posterior_plan", lambda noise: [(key, noise, do) for key, do in engines.items()]),
+        patch.object(identify, "posterior_plan", lambda noise: [("emcee", noise, ensemble), ("nuts", noise, nuts)]),
         patch.object(identify, "search_modes", lambda density, start, *_, **__: find_mode(density, start)),
         patch.object(pooled, "pool", partial(pooled.pool, length=short)),
         patch.object(check, "channel_health", lambda *_: (doubt,)),
@@ -111,10 +109,15 @@ def short_period(tmp_path_factory):
 
 
 @pytest.fixture
-def told_diagnosis(program, diagnosed, card, monkeypatch):
-    """What `diagnose` says here of a diagnosis that is already made."""
+def told_diagnosis(program, diagnosed, monkeypatch):
+    """What `diagnose` says of a diagnosis that is already made, by a card with a lateral axis that was not recorded."""
     monkeypatch.setattr(diagnose, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
     monkeypatch.setattr(diagnose, "view_of", lambda _: diagnosed.view)
-    recorded(diagnosed.records[0], Path("a.csv"), card)
+    text = shipped_cards()["attas"].read_text().replace('"AYCG", unit', '"AYCG", required = false, unit')
+    axes = 'axes = ["longitudinal", "lateral"]\neffects = ["sideslip_side_force",'
+    Path("card.toml").write_text(text.replace("effects = [", axes))
+    record = diagnosed.records[0]
+    channels = {name: x for name, x in record.channels.items() if name != "ay"}
+    recorded(replace(record, channels=channels), Path("a.csv"), read_card("card.toml"))
     left_out = ("--no-figures", "--no-trajectories", "--no-test-points")
-    return succeeded(program("diagnose", "a.csv", "--max-effects", "2", *left_out))
+    return succeeded(program("diagnose", "a.csv", "--model", "card.toml", "--max-effects", "2", *left_out))

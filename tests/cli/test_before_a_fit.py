@@ -15,6 +15,8 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
+import six_axes as six
+import stranger_six
 from calling import answer, holds, page_of, refused, succeeded
 from flight.flights import flight
 from hypothesis import given, settings
@@ -59,10 +61,8 @@ def test_noise_is_that_of_the_sensors(program, flights):
 
 
 def test_every_standard_manoeuvre_can_be_chosen():
-    time = np.arange(0.0, 60.0, 0.04)
-    trim = Trim(0.1, 2e4, 0.0)
-    known = {*commands(time, trim, 0.1, 0.0, lateral=True), demo.RANDOM_STALL}
-    assert known == set(demo.MANOEUVRES) == set(get_args(Manoeuvre))
+    flown = commands(np.arange(0.0, 60.0, 0.04), Trim(0.1, 2e4, 0.0), 0.1, 0.0, lateral=True)
+    assert {*flown, demo.RANDOM_STALL} == set(demo.MANOEUVRES) == set(get_args(Manoeuvre))
 
 
 def test_a_file_that_is_there_is_kept_and_a_size_beyond_the_plausible_is_told(program, flights):
@@ -352,6 +352,16 @@ def test_a_full_disk_is_one_sentence(program, flights, monkeypatch):
     assert done.code == 2
     assert done.err == "error: checked/check.json: No space left on device; check the path and the disk\n"
     assert not Path("checked/check.json").exists()
+
+
+def test_a_record_without_sideslip_has_no_lateral_axis_and_an_elevator_that_holds_the_attitude_is_feedback(program):
+    rng, plane = np.random.default_rng(11), stranger_six.Plane(**six.ATTACHED)
+    columns = six.recorded(stranger_six.fly(plane, "rudder", rng, seconds=14.0), rng)
+    pd.DataFrame(columns).drop(columns="beta").to_csv("blind.csv", index=False)
+    text = six.card_text(plane).replace('beta = { label = "beta",', 'beta = { label = "beta", required = false,')
+    Path("card.toml").write_text(text)
+    said = " ".join(succeeded(program("check", "blind.csv", "--model", "card.toml", "--no-sensors"), 0, 3).out.split())
+    holds(said, "elevator follows the recorded q, theta", "left out: record blind has no channel beta")
 
 
 def test_a_unit_that_other_channels_refute_is_doubted(program, flights):

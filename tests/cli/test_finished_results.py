@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import urllib.request
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
@@ -70,10 +72,7 @@ def change(path, **changes):
     whole = content(path)
     for keys, value in changes.items():
         *outer, last = keys.split("__")
-        place = whole
-        for key in outer:
-            place = place[key]
-        place[last] = value
+        reduce(getitem, outer, whole)[last] = value
     path.write_text(json.dumps(whole))
 
 

@@ -15,6 +15,7 @@ from calling import answer, holds, page_of, refused, succeeded, validated
 
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.trim import Steady, modes
+from bayes_aero.flight.reading import resample_record
 from bayes_aero.flight.record import FlightRecord, write_record
 from bayes_aero.inference import prediction_error
 from bayes_aero.inference.prediction_error import PosteriorLength, sample_innovations
@@ -30,8 +31,7 @@ def written(folder, text, channels):
     """Card and record as files; the true channels are those of the matrix exponential, with white noise."""
     card, record = folder / "card.toml", folder / "flight.csv"
     card.write_text(text)
-    noise = {"alpha": 0.002, "q": 0.003, "az": 0.15}
-    noisy = linear.record_of(channels, noise=noise, rng=np.random.default_rng(1), name="flight")
+    noisy = linear.record_of(channels, noise={"alpha": 0.002, "q": 0.003, "az": 0.15}, rng=np.random.default_rng(1))
     write_record(noisy, record, [c for c in linear.card_of(text).channels if noisy.has(c.name) or c.name == "time"])
     return card, record
 
@@ -107,8 +107,8 @@ def test_a_model_that_cannot_fly_is_exit_code_one(program, tmp_path):
 
 def test_a_model_of_effects_flies_a_stall(program, flights):
     """Without noise, so that the truth is what comes out; in one window, which compiles less."""
-    done = succeeded(program("fly", flights.sound, "--windows", "60", "--no-figures", "--json"))
-    content = validated(json.loads(done.out), "trajectories")
+    asked = ("--windows", "60", "--resample", "0.08", "--no-process-noise", "--no-figures", "--json")
+    content = validated(answer(program("fly", flights.sound, *asked)), "trajectories")
     assert "altitude" not in content["fitted_outputs"]
     start, fitted = (next(p for p in content["paths"] if p["model"] == model) for model in ("start", "fitted"))
     assert set(fitted["outputs"]) == {*content["fitted_outputs"], "altitude"}
@@ -212,16 +212,6 @@ def test_lateral_derivatives_come_back_with_the_longitudinal_motion_and_what_the
     refused(program("fly", files[1], "--model", "wrong.toml"), "[fly] held", "airspeed, alpha")
 
 
-def test_a_record_without_sideslip_is_flown_without_the_lateral_axis(flown, program):
-    folder, plane = flown
-    pd.read_csv(folder / "rudder.csv").drop(columns="beta").to_csv("blind.csv", index=False)
-    text = six.card_text(plane).replace('beta = { label = "beta",', 'beta = { label = "beta", required = false,')
-    Path("card.toml").write_text(text)
-    said = " ".join(succeeded(program("fly", "blind.csv", "--model", "card.toml", *QUICK), 3).out.split())
-    assert "elevator follows the recorded q, theta" in said  # while the rudder moves, it only holds the attitude
-    assert "The lateral axis (CY, Cl, Cn) is left out: record blind has no channel beta" in said
-
-
 NOT_REQUIRED = CARD.replace('"de", unit = "deg"', '"de", unit = "deg", required = false')
 
 
@@ -243,7 +233,7 @@ def test_what_cannot_be_flown_is_one_sentence_and_nothing_is_written(program, tm
 
 def test_identify_in_a_band_finds_the_truth_and_agrees_with_the_time_domain(card):
     """Noise with a lag-1 correlation of 0.9 widens bounds threefold in the time domain, and hardly in a band."""
-    records = [simulate_stall(number, card=card).window(25.0, 65.0) for number in range(2)]
+    records = [resample_record(simulate_stall(k, card=card).window(25.0, 65.0), 0.08) for k in range(2)]
     found = identify(records, card, IdentifyOptions(sample=False, gp=False, frequency=(0.05, 1.5)))
     fit, mle = found.frequency, found.mle
     assert fit is not None

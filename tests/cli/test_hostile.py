@@ -215,11 +215,10 @@ def test_small_files_that_claim_gigabytes(tmp_path, suffix, monkeypatch):
         read_record(path, channels)
 
 
-@pytest.mark.parametrize("shape", [(10**12, 1), (2**62,)])
-def test_an_hdf5_header_that_claims_more_than_there_is(tmp_path, shape):
+def test_an_hdf5_header_that_claims_more_than_there_is(tmp_path):
     with h5py.File(tmp_path / "big.nc", "w") as file:
         for channel in CHANNELS:
-            file.create_dataset(channel.heading, shape, "f8", chunks=(1000, *[1] * (len(shape) - 1)))
+            file.create_dataset(channel.heading, (2**62,), "f8", chunks=(1000,))
     with pytest.raises(InputError, match="claims"):
         read_record(tmp_path / "big.nc", CHANNELS)
 

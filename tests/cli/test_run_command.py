@@ -144,21 +144,20 @@ def test_a_unit_that_fails_says_why_and_stops_nobody_and_its_doubts_are_told(pro
 def test_units_are_real_work_and_the_environment_is_kept(program, folder, monkeypatch):
     """The runner around `identify`, maximum likelihood alone, so that it is quick."""
     monkeypatch.setattr(job, "posterior_plan", lambda _: [])
-    text = STUDY.replace("flights/*.csv", "flights/sound.csv")
+    text = STUDY.replace("flights/*.csv", "flights/sound.csv") + "options.resample = 0.08\n"
     (folder / "study.toml").write_text(text)
     succeeded(program("run", "study.toml", "--json"))
     out, record = folder / "study_results", folder / "flights" / "sound.csv"
     (unit,) = (out / "units").iterdir()
     made = json.loads((unit / "provenance.json").read_text())
     assert made["inputs"][0]["sha256"] == hashlib.sha256(record.read_bytes()).hexdigest()
-    assert made["settings"]["options"] == {"gp": False, "figures": False}
-    table = pd.read_csv(out / "summary.csv").set_index(["method", "parameter"])
-    # Noise-free flight of an aircraft whose truth is known: the estimate is the truth but for filters and integration.
-    assert table.loc[("mle", "CLa"), "value"] == pytest.approx(3.6, rel=0.05)
-    assert set(table.index.get_level_values("method")) == {"mle", "mle_corrected"}
-    assert set(table["records"]) == {"flights/sound.csv"}
-    again = pd.read_parquet(out / "summary.parquet").set_index(["method", "parameter"])
+    assert made["settings"]["options"] == {"gp": False, "figures": False, "resample": 0.08}
+    table, again = pd.read_csv(out / "summary.csv"), pd.read_parquet(out / "summary.parquet")
     pd.testing.assert_frame_equal(table[["value", "sd"]], again[["value", "sd"]], check_dtype=False)
+    assert set(table["method"]) == {"mle", "mle_corrected"}
+    assert set(table["records"]) == {"flights/sound.csv"}
+    # Noise-free flight of an aircraft whose truth is known: the estimate is the truth but for filters and integration.
+    assert table.set_index(["method", "parameter"]).loc[("mle", "CLa"), "value"] == pytest.approx(3.6, rel=0.05)
     requirements = (out / "environment" / "requirements.txt").read_text()
     assert f"\njax=={version('jax')}\n" in requirements
     assert requirements.splitlines()[-1].startswith(f"# and bayes-aero {bayes_aero.__version__} (source_sha256")
@@ -199,7 +198,7 @@ task = "fly"
 records = ["*.csv"]
 one_by_one = true
 cards = ["sp.toml"]
-options.windows = 20
+options.windows = 5
 options.priors = false
 options.outputs = "q,alpha,az"
 options.figures = false
@@ -237,7 +236,7 @@ def test_linear_cards_fly_and_process_noise_changes_nothing_in_calm_air(program,
             expected = (parameter["estimate"], parameter[keys[method]], parameter["unit"])
             assert (row["value"], row["sd"], row["unit_of_value"]) == expected
     unit, content = next(iter(results.items()))
-    assert content["windows"] == 20.0
+    assert content["windows"] == 5.0
     assert content["setting"] == {"initial_state": "free", "priors": False, "inputs": "linear"}
     assert content["fitted_outputs"] == ["q", "alpha", "az"]
     filtered = content["process_noise"]
@@ -273,10 +272,10 @@ BAD = [
     ("one_by_one = true", 'task = "diagnose"', "noise is of no use"), ("one_by_one = true", "one_by_one = tru", "TOML"),
 ]  # fmt: skip
 BAD_FLY = [
-    ("options.windows", "options.gp", "unknown option of the task fly"), ("windows = 20", "windows = true", "a number"),
-    ("windows = 20", 'initial_state = "known"', "use one of free, fixed"), ("windows = 20", "windows = 0", "positive"),
+    ("options.windows", "options.gp", "unknown option of the task fly"), ("windows = 5", "windows = true", "a number"),
+    ("windows = 5", 'initial_state = "known"', "use one of free, fixed"), ("windows = 5", "windows = 0", "positive"),
     ('outputs = "q,alpha,az"', "outputs = 3", "write names in quotes"),
-    ("windows = 20", "frequency = 1.5", "two frequencies"), ("one_by_one = true", 'noise = ["white"]', "of no use"),
+    ("windows = 5", "frequency = 1.5", "two frequencies"), ("one_by_one = true", 'noise = ["white"]', "of no use"),
     ("one_by_one = true", 'effects = [[], ["thrust_lag"]]', "a linear system, which has no effects"),
     (FLY_STUDY, 'task = "diagnose"\nrecords = ["*.csv"]\ncards = ["sp.toml"]', "a linear system"),
 ]  # fmt: skip
