@@ -146,7 +146,7 @@ def test_units_are_real_work_and_the_environment_is_kept(program, folder, monkey
     monkeypatch.setattr(job, "posterior_plan", lambda _: [])
     text = STUDY.replace("flights/*.csv", "flights/sound.csv") + "options.resample = 0.08\n"
     (folder / "study.toml").write_text(text)
-    succeeded(program("run", "study.toml", "--json"))
+    succeeded(program("run", "study.toml", "--json"), 0, 3)  # 3: thrust stood still
     out, record = folder / "study_results", folder / "flights" / "sound.csv"
     (unit,) = (out / "units").iterdir()
     made = json.loads((unit / "provenance.json").read_text())
@@ -254,7 +254,7 @@ def test_linear_cards_fly_and_process_noise_changes_nothing_in_calm_air(program,
     for name, predicted in one_step["outputs"].items():
         assert predicted["rms"] == pytest.approx(noise[name], rel=0.15)  # the state is known far better
         assert [share["level"] for share in predicted["shares"]] == [0.5, 0.9, 0.95, 0.99]
-    assert any("inside their 95 % intervals: α " in sentence for sentence in content["sentences"])
+    assert any("inside their 95 % intervals: q " in sentence for sentence in content["sentences"])
     holds(page_of(out / "units" / unit), "with process noise", "inside the interval, %")
     assert not (out / "units" / unit / "figures").exists()
 
