@@ -109,7 +109,7 @@ def short_period(tmp_path_factory):
 
 
 @pytest.fixture
-def told_diagnosis(program, diagnosed, monkeypatch):
+def diagnosis_output(program, diagnosed, monkeypatch):
     """What `diagnose` says of a diagnosis that is already made, by a card with a lateral axis that was not recorded."""
     monkeypatch.setattr(diagnose, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
     monkeypatch.setattr(diagnose, "view_of", lambda _: diagnosed.view)

@@ -24,8 +24,8 @@ def quick(unit, out, *_):
     np.save(out / "samples.npy", rng.normal(size=37_500))
     time.sleep(SECONDS / 2)
     parameters = {"CLa": {"estimate": rng.normal(), "crb": 0.1, "crb_corrected": 0.2, "unit": "1/rad"}}
-    told = provenance(units.card_of(unit), [], unit.seed, unit.settings)
-    write_json({"mle": {"status": "converged", "parameters": parameters}, "provenance": told}, out / "results.json")
+    source = provenance(units.card_of(unit), [], unit.seed, unit.settings)
+    write_json({"mle": {"status": "converged", "parameters": parameters}, "provenance": source}, out / "results.json")
 
 
 units.run_task = quick

@@ -37,8 +37,7 @@ SECTIONS = {
     "gp": 'inputs = ["alpha", "alpha", "q"]',
     "parameters.CL0": "start = 0.3",
 }
-RATES, LENGTHS = (5.0, 10.0, 20.0, 25.0, 50.0, 100.0), (6.0, 8.0, 12.0, 14.0, 18.0, 25.0)
-BEGINS = (2.0, 4.0, 10.0, 16.0, 30.0)
+RATES, LENGTHS, BEGINS = (5, 10, 20, 25, 50, 100), (6, 8, 12, 14, 18, 25), (2, 4, 10, 16, 30)  # Hz, s, s
 
 
 def written(
@@ -141,9 +140,11 @@ def test_without_accelerometers(program, tmp_path):
 
 def test_some_seconds(program, tmp_path):
     stated = {name: SECTIONS[name] for name in ("sensors", "tolerances")}
-    stages = climbed(program, tmp_path, 6.0, derived={"density": AIR, "mach": AIR}, **stated)
-    assert "diagnose: not possible, a single manoeuvre of 6 s is too short" in stages["check"][0]
-    assert "give one of 13 s at least, or a second one" in stages["diagnose"][0]
+    (record,), card = written(tmp_path, 6.0, derived={"density": AIR, "mach": AIR}, **stated)
+    checked = ended(program, tmp_path, "check", record, "--model", card, out="check")[0]
+    assert "diagnose: not possible, a single manoeuvre of 6 s is too short" in checked
+    diagnosed = ended(program, tmp_path, "diagnose", record, "--model", card, out="diagnose")[0]
+    assert "give one of 13 s at least, or a second one" in diagnosed
 
 
 @pytest.mark.verify
@@ -196,11 +197,10 @@ def read_by(name, gusty, folder):
 
 NOISE_OR_NONE = ("--process-noise", "--no-process-noise")
 PAIRS = [(name, noise) for name in CARDS for noise in NOISE_OR_NONE]
-QUICK = [(name, NOISE_OR_NONE[1]) for name in ("short_period", "lateral")]  # test_published_cases.py flies most others
-SOON = [pytest.param(*p, marks=() if p in QUICK else pytest.mark.verify) for p in PAIRS]
 
 
-@pytest.mark.parametrize(("name", "noise"), SOON)
+@pytest.mark.verify
+@pytest.mark.parametrize(("name", "noise"), PAIRS)
 def test_every_shipped_card_is_flown_to_the_end(name, noise, gusty, program, tmp_path):
     card, paths = read_by(name, gusty, tmp_path)
     content = ended(program, tmp_path, "fly", *paths, "--model", name, noise, "--no-figures", out="flown")[1]

@@ -192,7 +192,7 @@ def test_axes_that_were_not_recorded_are_not_exported():
     assert all("Clbe" not in text for text in jsbsim_files(exported).values())
 
 
-@pytest.mark.usefixtures("told_diagnosis")
+@pytest.mark.usefixtures("diagnosis_output")
 def test_a_diagnosis_gives_the_extended_model_and_draws_as_wide_as_the_reported_errors(program):
     """The causes that hold-out data confirm, with the card's parameters as they move."""
     file = Path("diagnosis/diagnosis.json")
@@ -259,7 +259,7 @@ def test_extrapolation_is_told_of_the_other_record_alone(identified, qualified):
     names = ("stall", "second", "other")
     alpha = [np.genfromtxt(identified.folder / f"{n}.csv", delimiter=",", names=True)["ALCG"] for n in names]
     low, high, other = min(alpha[0].min(), alpha[1].min()), max(alpha[0].max(), alpha[1].max()), alpha[2]
-    outside = {one["manoeuvre"]: one for one in qualified.numbers["outside"] if one["motion"] == "recorded"}
+    outside = {part["manoeuvre"]: part for part in qualified.numbers["outside"] if part["motion"] == "recorded"}
     assert set(outside) == {"other"}
     clearly = 0.1 * (high - low) / 2.0  # a hull lies within the ranges of its channels
     assert outside["other"]["share"] >= np.mean((other > high + clearly) | (other < low - clearly)) - 0.01

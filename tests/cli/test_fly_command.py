@@ -234,8 +234,8 @@ def test_what_cannot_be_flown_is_one_sentence_and_nothing_is_written(program, tm
 def test_identify_in_a_band_finds_the_truth_and_agrees_with_the_time_domain(card):
     """Noise with a lag-1 correlation of 0.9 widens bounds threefold in the time domain, and hardly in a band."""
     records = [resample_record(simulate_stall(k, card=card).window(25.0, 65.0), 0.08) for k in range(2)]
-    found = identify(records, card, IdentifyOptions(sample=False, gp=False, frequency=(0.05, 1.5)))
-    fit, mle = found.frequency, found.mle
+    result = identify(records, card, IdentifyOptions(sample=False, gp=False, frequency=(0.05, 1.5)))
+    fit, mle = result.frequency, result.mle
     assert fit is not None
     assert fit.converged
     assert set(fit.unseen) == {"CD0", "Cm0"}  # CL0 is in the drag polar
@@ -243,4 +243,4 @@ def test_identify_in_a_band_finds_the_truth_and_agrees_with_the_time_domain(card
     assert max(map(abs, scores)) < 4.0
     assert max(fit.apart.values()) < 4.0
     assert np.median(fit.crb_corrected / fit.crb) < 1.3 < 2.0 < np.median(mle.crb_corrected / mle.crb)
-    assert any("agree within" in note for note in found.notes)
+    assert any("agree within" in note for note in result.notes)

@@ -53,8 +53,8 @@ def changed(text):
 
     def apply(changes):
         new = list(lines)
-        for kind, one, other, odd in changes:
-            i, j = one % len(lines), other % len(lines)
+        for kind, at, other, odd in changes:
+            i, j = at % len(lines), other % len(lines)
             key, _, value = new[i].partition(" = ")
             parts = re.findall(r'"[^"]*"|[\w.+-]+', value)
             if kind == "inside" and parts:
@@ -272,12 +272,12 @@ def test_damaged_json_in_a_results_folder(tmp_path, content):
     assert (folder / "environment.json").read_text() == content
     assert len(list(tmp_path.glob("environment-*/environment.json"))) == 1
     (tmp_path / unit_runs.MANIFEST).write_text(content)
-    one = unit_runs.Unit("u", "identify", (), (), "attas", "attas", 0, None, None, ())
-    assert unit_runs.state_of(one, tmp_path).state == "damaged"
+    unit = unit_runs.Unit("u", "identify", (), (), "attas", "attas", 0, None, None, ())
+    assert unit_runs.state_of(unit, tmp_path).state == "damaged"
     for name in ("/etc/hostname", "../../../../../../etc/hostname", "a\0b", "x" * 300):
-        manifest = {"files": {name: ""}, "made_from": unit_runs.fingerprint(one), "state": "done"}
+        manifest = {"files": {name: ""}, "made_from": unit_runs.fingerprint(unit), "state": "done"}
         write_json(manifest, tmp_path / unit_runs.MANIFEST)
-        assert unit_runs.state_of(one, tmp_path).state == "damaged"
+        assert unit_runs.state_of(unit, tmp_path).state == "damaged"
 
 
 @pytest.mark.parametrize(("name", "source", "said"), [

@@ -44,7 +44,7 @@ def test_choices_are_those_of_the_libraries():
 def test_help_states_the_exit_codes_and_has_an_example_of_every_command(program):
     said = program("--help").out
     holds(said.split("Exit codes:")[1], *(f"{code} " for code in (FAILED, BAD_INPUT, DOUBT, INTERRUPTED)))
-    for command in (one.callback.__name__ for one in app.registered_commands):
+    for command in (registered.callback.__name__ for registered in app.registered_commands):
         assert f" {command} " in said
         holds(succeeded(program(command, "--help")).out, f"Example: bayes-aero {command} ")
 
@@ -162,7 +162,7 @@ def test_results_follow_the_schema_and_are_told_alike_on_terminal_and_page(ident
     folder, content = identified.results, validated(identified.results / "results.json", "results")
     assert content["mle"]["status"] == "converged"
     assert set(content["posterior"]["emcee"]) >= {"alpha_star", "sigma_CL"}
-    status = {engine: told["status"] for engine, told in content["posterior"]["status"].items()}
+    status = {engine: reached["status"] for engine, reached in content["posterior"]["status"].items()}
     assert status == {"emcee": "converged", "nuts": "not_converged"}
     assert content["next_flight"]["manoeuvres"] == list(content["mle"]["alone"]) == ["stall", "second"]
     assert all((folder / name).is_file() for name in ("parameters.csv", "posterior_nuts.nc", "next_flight.csv"))
@@ -210,11 +210,11 @@ def test_same_seed_same_numbers(program, identified, monkeypatch):
     assert first == second
 
 
-def test_diagnose_writes_and_tells_what_it_found(tmp_path, told_diagnosis):
+def test_diagnose_writes_and_tells_what_it_found(tmp_path, diagnosis_output):
     content = validated(tmp_path / "diagnosis" / "diagnosis.json", "diagnosis")
     assert content["provenance"]["settings"] == {"max_effects": 2}
     lacks = "The lateral axis (CY, Cl, Cn) is left out: record a has no channel ay"
-    holds(" ".join(told_diagnosis.out.split()), lacks, *(cause["name"] for cause in content["causes"]))
+    holds(" ".join(diagnosis_output.out.split()), lacks, *(cause["name"] for cause in content["causes"]))
     assert (tmp_path / "diagnosis" / "screen.csv").is_file()
     assert not (tmp_path / "diagnosis" / "figures").exists()
     holds(page_of(tmp_path / "diagnosis"), *(str(escape(cause["claim"])) for cause in content["causes"]))

@@ -56,8 +56,8 @@ def of_case(case: str, card: str) -> str:
         return text.replace("\n[output_biases]\n", '\n[linear.delays]\nr = "tau_r"\n\n[output_biases]\n')
     if case == "TC34":  # constants of the rates by manoeuvre, of the outputs in common
         start, end = text.index("\n[output_biases]\n") + 1, text.index("# As published: what the first sample")
-        own = '[linear.outputs.p]\nby_p = "1"\n\n[linear.outputs.r]\nby_r = "1"\n\n'
-        text = text[:start] + own + text[end:]
+        rates = '[linear.outputs.p]\nby_p = "1"\n\n[linear.outputs.r]\nby_r = "1"\n\n'
+        text = text[:start] + rates + text[end:]
         return text.replace("[linear]\n", '[linear]\nby_manoeuvre = ["L0", "N0"]\n')
     return text
 
@@ -81,7 +81,7 @@ def record(name: str, folder: Path) -> Path:
     return path
 
 
-VARIANTS = ("TC31", "TC34", "TC11 own", "TC04 free")  # of cases that are flown in any way
+VARIANTS = ("TC01", "TC31", "TC34", "TC11 own", "TC04 free")  # of cases that are flown in any way
 
 
 @pytest.fixture

@@ -83,8 +83,8 @@ def started(*command, **settings):
     try:
         yield process
     finally:
-        for one in [*descendants(process.pid), process]:
-            with_no_process(one.kill)
+        for child in [*descendants(process.pid), process]:
+            with_no_process(child.kill)
         process.communicate()
 
 
@@ -126,12 +126,12 @@ def descendants(pid):
 
 def at_work(pid):
     """Processes below that have loaded the quick units: the workers, not the nannies that watch them."""
-    return [one for one in descendants(pid) if "spawn_main" in " ".join(with_no_process(one.cmdline))]
+    return [child for child in descendants(pid) if "spawn_main" in " ".join(with_no_process(child.cmdline))]
 
 
 def gone(processes):
     """Whether none runs any more; one that nobody has asked how it ended is gone too."""
-    return all(with_no_process(one.status) in ([], psutil.STATUS_ZOMBIE) for one in processes)
+    return all(with_no_process(child.status) in ([], psutil.STATUS_ZOMBIE) for child in processes)
 
 
 def wait_for(what, seconds=300.0):
