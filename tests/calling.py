@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import sys
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
@@ -64,18 +65,24 @@ def holds(text, *parts):
     assert [part for part in parts if part not in text] == [], text
 
 
+@cache
+def validator(kind):
+    """Of the documents of this kind, by their schema, which is one."""
+    schema = document_schema(kind)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
 def validated(content, kind):
     """A JSON document, or the file that holds it, that must follow the schema of its kind."""
     content = json.loads(content.read_text()) if isinstance(content, Path) else content
-    schema = document_schema(kind)
-    jsonschema.Draft202012Validator.check_schema(schema)
-    jsonschema.validate(content, schema)
+    assert not [error.message for error in validator(kind).iter_errors(content)]
     assert plain(msgspec.convert(content, DOCUMENTS[kind])) == content  # it is read as it was written
     return content
 
 
-def page_of(folder):
+def page_of(folder, name="report.html"):
     """The report page without its places to break long words; every part of it must have been made."""
-    page = (folder / "report.html").read_text().replace("<wbr>", "")
+    page = (folder / name).read_text().replace("<wbr>", "")
     assert "was not made" not in page
     return page

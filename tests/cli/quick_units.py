@@ -1,7 +1,4 @@
-"""Preloaded into the workers of the tests of clusters: units that take a moment, and numbers that depend on the unit.
-
-A record called "deadly" kills the process that reads it, as one does that wants more memory than there is.
-"""
+"""Preloaded into workers: units that take a moment, with their own numbers; "deadly" ones kill the process."""
 
 import hashlib
 import os
@@ -27,8 +24,8 @@ def quick(unit, out, *_):
     np.save(out / "samples.npy", rng.normal(size=37_500))
     time.sleep(SECONDS / 2)
     parameters = {"CLa": {"estimate": rng.normal(), "crb": 0.1, "crb_corrected": 0.2, "unit": "1/rad"}}
-    told = provenance(units.card_of(unit), [], unit.seed, unit.settings)
-    write_json({"mle": {"status": "converged", "parameters": parameters}, "provenance": told}, out / "results.json")
+    source = provenance(units.card_of(unit), [], unit.seed, unit.settings)
+    write_json({"mle": {"status": "converged", "parameters": parameters}, "provenance": source}, out / "results.json")
 
 
 units.run_task = quick
