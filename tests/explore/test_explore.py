@@ -30,7 +30,6 @@ from bayes_aero.explore.opened import (
 from bayes_aero.explore.page import Asked, PageServer, gain, read_asked, scores
 from bayes_aero.export.simulators import slave_source
 from bayes_aero.flight.reading import read_record
-from bayes_aero.inference.mle import fit_mle
 from bayes_aero.jobs.finished import FORMS
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
@@ -52,24 +51,23 @@ def test_the_result_is_the_one_that_fly_wrote(results, simulator):
         np.testing.assert_allclose(now.simulated[name], y, rtol=1e-6, atol=1e-6 * np.ptp(y), err_msg=name)
 
 
-def test_other_values_and_effects_fly_as_the_package_does(packaged, simulator, model, card):
-    agree(simulator.fly(0, Choice({"CLa": 3.9, "Cmde": -1.1})).simulated, packaged(model, CLa=3.9, Cmde=-1.1))
-    kept = tuple(e for e in card.effects if e != "separated_moment")
-    without = Model.of(kept, card.fixed)
-    agree(simulator.fly(0, Choice(off=frozenset({"separated_moment"}))).simulated, packaged(without))
-    wider = model.extended("mass_scale")
-    heavy = simulator.fly(0, Choice({"mass_scale": 1.04}, added=("mass_scale",)))
-    agree(heavy.simulated, packaged(wider, mass_scale=1.04))
+LAG = ("separation_lag",)
+CHOICES = {
+    "moved": Choice({"CLa": 3.9, "Cmde": -1.1}),
+    "attached": Choice(off=frozenset({"separated_moment"})),
+    "heavy": Choice({"mass_scale": 1.04}, added=("mass_scale",)),
+    "lagged": Choice({"tau1": 9.0}, added=LAG),
+    "lag off": Choice({"tau1": 9.0}, frozenset(LAG), LAG),  # exactly absent: a lag of zero would leave a fast state
+}
 
 
-def test_a_lag_can_be_added_and_switched_off(packaged, simulator, card):
-    """Off it is exactly absent, though a lag of zero would leave a fast state."""
-    fixed = {name: x for name, x in card.fixed.items() if name != "tau1"}
-    lagged = Model.of(card.effects, fixed)
-    added = ("separation_lag",)
-    agree(simulator.fly(0, Choice({"tau1": 9.0}, added=added)).simulated, packaged(lagged, tau1=9.0))
-    off = simulator.fly(0, Choice({"tau1": 9.0}, frozenset(added), added)).simulated
-    agree(off, simulator.fly(0, Choice()).simulated)
+@pytest.mark.parametrize("name", CHOICES)
+def test_other_values_and_effects_fly_as_the_package_does(packaged, simulator, model, card, name):
+    kept = tuple(e for e in card.effects if name != "attached" or e != "separated_moment")
+    fixed = {key: x for key, x in card.fixed.items() if name != "lagged" or key != "tau1"}
+    flown = model.extended("mass_scale") if name == "heavy" else Model.of(kept, fixed)
+    values = CHOICES[name].values if name != "lag off" else {}
+    agree(simulator.fly(0, CHOICES[name]).simulated, packaged(flown, **values))
 
 
 def test_effects_are_those_with_parameters_that_act_and_what_is_not_flown_is_said(simulator, model):
@@ -87,16 +85,14 @@ def test_effects_are_those_with_parameters_that_act_and_what_is_not_flown_is_sai
 
 
 def test_coefficients_are_those_of_the_record_and_the_model(results, simulator, card, model):
-    """Formed by the observations of identify, modelled by the fit that identify makes of them."""
-    record = read_record(results.folder / "stall.csv", card.channels)
-    seen = observe([record], card, model)
-    found = fit_mle(model, seen, seed=0)
-    values = dict(zip(found.names, map(float, found.estimate), strict=True))
-    now = simulator.fly(0, Choice(values))
-    predicted = np.asarray(model.predicted(found.estimate, seen.signals, seen.aircraft))
+    """As the observations of `identify` form and model them."""
+    seen = observe([read_record(results.folder / "stall.csv", card.channels)], card, model)
+    now = simulator.fly(0, Choice())
+    theta = np.array([now.values[name] for name in model.names])
+    predicted = np.asarray(model.predicted(theta, seen.signals, seen.aircraft))
     for c, name in enumerate(model.coefficients):
-        span = np.ptp(predicted[:, c])
-        assert np.sqrt(np.mean((now.coefficients[name] - predicted[:, c]) ** 2)) < 0.01 * span
+        for found, expected in ((now.coefficients, predicted), (now.formed, np.asarray(seen.measured))):
+            assert np.sqrt(np.mean((found[name] - expected[:, c]) ** 2)) < 0.01 * np.ptp(expected[:, c])
 
 
 def test_draws_have_the_covariance_of_the_fit(simulator, monkeypatch):
@@ -132,13 +128,8 @@ def test_every_manoeuvre_of_identify_flies_from_its_measured_state(results, card
         assert {len(y) for y in (*now.coefficients.values(), *now.formed.values())} == {len(path.time)}
 
 
-CHOICES = {
-    "moved": Choice({"CLa": 3.9}),
-    "attached": Choice(off=frozenset({"flow_separation", "reattachment_hysteresis"})),
-    "lagged": Choice({"tau1": 9.0}, added=("separation_lag",)),
-    "lag off": Choice({"tau1": 9.0}, frozenset({"separation_lag"}), ("separation_lag",)),
-    "sensor": Choice({"alpha_bias": 0.01}, frozenset({"mach_lift"}), ("alpha_bias", "alpha_dot_moment")),
-}
+SENSOR = Choice({"alpha_bias": 0.01}, frozenset({"mach_lift"}), ("alpha_bias", "alpha_dot_moment"))
+EXPORTED = CHOICES | {"sensor": SENSOR}
 
 
 @pytest.fixture(scope="module")
@@ -149,11 +140,11 @@ def own(results, tmp_path_factory):
     return Simulator(open_result(str(folder), None, [results.folder]))
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("name", CHOICES)
+@pytest.mark.parametrize(
+    ("form", "name"), [*((form, "sensor") for form in FORMS), *(("jsbsim", name) for name in CHOICES)]
+)
 def test_every_form_takes_every_choice(own, form, name):
-    values = own.fly(0, CHOICES[name]).values
-    folder, files = export_chosen(own.opened, CHOICES[name], values, form)
+    folder, files = export_chosen(own.opened, EXPORTED[name], own.fly(0, EXPORTED[name]).values, form)
     assert folder.parent == own.opened.folder / "exports"
     assert all((folder / file).stat().st_size > 0 for file in files)
 
@@ -161,7 +152,7 @@ def test_every_form_takes_every_choice(own, form, name):
 @pytest.mark.parametrize("name", ["moved", "attached", "sensor"])
 def test_the_exported_function_has_the_coefficients_of_the_page(own, name):
     """The function of an FMU at single samples of the corrected record, against the model that is flown."""
-    choice = CHOICES[name]
+    choice = EXPORTED[name]
     values = own.fly(0, choice).values
     chosen, exported = chosen_model(own.opened, choice, values), {}
     exec(compile(slave_source(chosen, "exported"), "exported.py", "exec"), exported)
@@ -203,32 +194,24 @@ def test_sliders_hold_the_estimate_within_the_bounds(own):
     assert [group.added for group in groups if group.name in ("separation_lag", "mass_scale")] == [True, True]
 
 
-N = 200
-RNG = np.random.default_rng(7)
-WINDOW = np.arange(N) >= 50
-RECORDED = {"alpha": RNG.standard_normal(N), "q": RNG.standard_normal(N)}
-BEFORE = {name: x + 0.3 * RNG.standard_normal(N) for name, x in RECORDED.items()}
-NOW = {name: x + 0.2 * RNG.standard_normal(N) for name, x in RECORDED.items()}
-
-
 def test_errors_and_gain_are_those_of_the_window():
-    alpha, q = scores(RECORDED, BEFORE, NOW, WINDOW, {"alpha": 0.25})
-    wrong = (NOW["alpha"] - RECORDED["alpha"])[50:]
+    rng, n, window = np.random.default_rng(7), 200, np.arange(200) >= 50
+    recorded = {name: rng.standard_normal(n) for name in ("alpha", "q")}
+    before, now = ({name: x + sd * rng.standard_normal(n) for name, x in recorded.items()} for sd in (0.3, 0.2))
+    alpha, q = scores(recorded, before, now, window, {"alpha": 0.25})
+    wrong = (now["alpha"] - recorded["alpha"])[window]
     assert alpha["now"] == pytest.approx(np.linalg.norm(wrong) / np.sqrt(150.0), rel=1e-12)
     assert alpha["within"] == np.count_nonzero(np.abs(wrong) <= 0.25) / 150
     assert alpha["within_before"] < alpha["within"]
     assert (q["within"], q["within_before"]) == (None, None)
     sd = {"alpha": 0.3, "q": 0.5}
 
-    def density(simulated):
-        return sum(norm.logpdf((RECORDED[n] - simulated[n])[WINDOW], scale=x).sum() for n, x in sd.items())
+    def errors(simulated):
+        return [(recorded[name] - simulated[name])[window] / x for name, x in sd.items()]
 
-    def errors(now):
-        return [((RECORDED[n] - BEFORE[n])[WINDOW] / x, (RECORDED[n] - now[n])[WINDOW] / x) for n, x in sd.items()]
-
-    assert gain(errors(NOW), 1.0) == pytest.approx(density(NOW) - density(BEFORE), rel=1e-12)
-    assert gain(errors(NOW), 25.0) == pytest.approx((density(NOW) - density(BEFORE)) / 25.0)
-    assert gain(errors(BEFORE), 1.0) == 0.0
+    gained = sum(norm.logpdf(a).sum() - norm.logpdf(b).sum() for a, b in zip(errors(now), errors(before), strict=True))
+    for weight in (1.0, 25.0):
+        assert gain(zip(errors(before), errors(now), strict=True), weight) == pytest.approx(gained / weight, rel=1e-12)
 
 
 SENT = '{"id": 3, "manoeuvre": 1, "window": [2, 5], "values": {"CLa": 3.5}, "off": ["a"], "added": ["b", "b"], "fan": true, "export": null}'  # noqa: E501

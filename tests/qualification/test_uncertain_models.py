@@ -62,7 +62,7 @@ def chance(tests, kind=FlightKind.AGAIN):
     return next(t for t in tests if t.kind is kind)
 
 
-@pytest.mark.parametrize("band", [0.2, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("band", [0.2, 1.0])
 def test_a_constant_error_of_normal_distribution(flown, band):
     """It stays inside +-b with probability 2 Phi(b / sd) - 1, however long the flight."""
     tests = qualify(flown, None, unknown(flown, np.random.default_rng(1)), {"az": band}).tests
@@ -92,19 +92,15 @@ def test_white_errors_of_the_structure(flown):
     assert chance(tests, FlightKind.NEXT).chance.value == pytest.approx(averaged, abs=ERROR + 0.03)
 
 
-def test_the_next_flight_has_its_own_parameters(flown):
-    """Scatter between manoeuvres adds to the estimate's: sqrt(sd^2 + tau^2)."""
+def test_the_next_flight_has_its_own_parameters_unless_flights_left_out_show_none(flown):
+    """Scatter between manoeuvres adds to the estimate's: sqrt(sd^2 + tau^2). Where flights that were left out missed by
+    0.1 alone, parameters that miss by 1.3 are the prior's."""
     rng = np.random.default_rng(3)
     given, wider = unknown(flown, rng), unknown(flown, rng, sd=1.3)
-    tests = qualify(flown, None, Uncertain(given.estimate, given.draws, wider.draws), {"az": 1.0}).tests
-    assert chance(tests, FlightKind.NEXT).chance.value == pytest.approx(2.0 * norm.cdf(1.0 / 1.3) - 1.0, abs=ERROR)
-    assert chance(tests, FlightKind.NEXT).recorded is None
-
-
-def test_scatter_that_flights_left_out_do_not_show_is_not_used(flown):
-    """Left out, flights missed by 0.1; parameters that miss by 1.3 are the prior's."""
-    rng = np.random.default_rng(5)
-    given, wider = unknown(flown, rng, sd=0.0), unknown(flown, rng, sd=1.3)
+    found = qualify(flown, None, Uncertain(given.estimate, given.draws, wider.draws), {"az": 1.0})
+    following = chance(found.tests, FlightKind.NEXT)
+    assert following.chance.value == pytest.approx(2.0 * norm.cdf(1.0 / 1.3) - 1.0, abs=ERROR)
+    assert following.recorded is None
     for error, used in ((0.1, False), (2.0, True)):
         left_out = (error * rng.standard_normal((2, N, 1)), np.zeros(1))
         found = qualify(flown, None, Uncertain(given.estimate, given.draws, wider.draws, left_out), {"az": 1.0})
@@ -220,7 +216,7 @@ FAR = np.array([1e3, 0.5, -1e3])
 
 
 @pytest.mark.parametrize(("points", "sample", "expected"), [
-    *((box(k), x, np.clip(x, -1, 1)) for k in (1, 2, 4, 6) for x in 3.0 * RNG.standard_normal((20, k))),
+    *((box(k), x, np.clip(x, -1, 1)) for k in (1, 2, 6) for x in 3.0 * RNG.standard_normal((2, k))),
     *((np.eye(k), np.zeros(k), np.full(k, 1.0 / k)) for k in (2, 3, 6)),  # the standard simplex, 1/sqrt(k) away
     (np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([1.0, 0.0]), [0.5, 0.5]),  # a segment in the plane
     (np.array([[2.0, 3.0]]), np.array([-1.0, 5.0]), [2.0, 3.0]), (box(3), FAR, [1.0, 0.5, -1.0]),
@@ -266,14 +262,14 @@ def constant_error(rng, sd=1.0):
     return errors, OpenTest(FlightKind.NEXT, "stall", "theta", 2.0, by_parameters, rest)
 
 
-@pytest.mark.parametrize("told", [(0.0, 0.0), (1.0, 0.0), (8.0, 0.0), (0.0, 50.0)])
+@pytest.mark.parametrize("information", [(0.0, 0.0), (1.0, 0.0), (0.0, 50.0)])
 @pytest.mark.parametrize("rest", [0.0, 0.7])
-def test_the_probability_with_more_information_is_that_of_a_narrower_normal(told, rest):
-    """sd^2 = 1/(1 + told) + rest^2, and P = 2 Phi(2/sd) - 1; what is known of another parameter changes nothing."""
+def test_the_probability_with_more_information_is_that_of_a_narrower_normal(information, rest):
+    """sd^2 = 1/(1 + I) + rest^2, and P = 2 Phi(2/sd) - 1; what is known of another parameter changes nothing."""
     errors, test = constant_error(np.random.default_rng(3), rest)
-    less = shrunk(errors, np.cov(errors, rowvar=False), np.diag(told))
+    less = shrunk(errors, np.cov(errors, rowvar=False), np.diag(information))
     found = test.probability((less - errors) @ test.slope(errors))
-    sd = np.sqrt(1.0 / (1.0 + told[0]) + rest**2)
+    sd = np.sqrt(1.0 / (1.0 + information[0]) + rest**2)
     assert found == pytest.approx(2.0 * norm.cdf(2.0 / sd) - 1.0, abs=0.01)
 
 
