@@ -72,9 +72,9 @@ def ranks(replicates: int, manoeuvres: int) -> None:
     print(f"{manoeuvres} manoeuvres, {replicates} replicates of {len(NAMES)} parameters: ", end="")
     print(f"{time.perf_counter() - began:.0f} s, {unsure} not converged")
     for what, one in found.items():
-        bands = [band_of([int(r[i]) for r in one]) for i in range(len(NAMES))]
-        said = ", ".join("inside" if band.inside else "OUTSIDE" for band in bands)
-        print(f"  ranks of {what}: {said} (largest difference {max(np.abs(b.difference).max() for b in bands):.3f})")
+        bands = [band_of(each) for each in np.transpose(one)]
+        said = ", ".join("inside" if inside else "OUTSIDE" for inside, _ in bands)
+        print(f"  ranks of {what}: {said} (largest difference {max(largest for _, largest in bands):.3f})")
     shares = ", ".join(f"{w:.0%}: {n / total:.1%}" for w, n in zip(WIDTHS, inside, strict=True))
     print(f"  next flight inside its intervals: {shares} of {total}")
     print(f"  standard deviation of the scatter over its prior's, median: {np.median(narrowed):.2f}", flush=True)
