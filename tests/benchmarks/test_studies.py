@@ -106,34 +106,21 @@ def test_coverage_under_coloured_noise(thinned, model):
 PEERS = Path(__file__).parents[2] / "benchmarks" / "peers"
 
 
-@pytest.fixture(scope="module")
-def quick(tmp_path_factory, model, thinned):
-    folder = tmp_path_factory.mktemp("peers")
+@pytest.mark.verify
+def test_scipy_and_the_package_reach_one_optimum_each_with_its_own_memory(tmp_path, model, thinned, monkeypatch):
     noise = np.random.default_rng(3).standard_normal(thinned.measured.shape) * [0.02, 0.004, 0.008]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(PEERS)
-        stall = importlib.import_module("stall")
-        asked = {"of": [], "sizes": [60], "quick": True}
-        stall.lay_down(model, replace(thinned, measured=thinned.measured + noise), folder, asked)
-    settings = os.environ | {"PYTHONPATH": str(PEERS.parents[1]), "JAX_COMPILATION_CACHE_DIR": str(folder / "programs")}
-    command = [sys.executable, str(PEERS), "--quick", "--blocks", "fits", "--folder", str(folder)]
-    command += ["--out", str(folder / "table.md")]
+    noisy = replace(thinned, measured=thinned.measured + noise)
+    monkeypatch.syspath_prepend(PEERS)
+    importlib.import_module("stall").lay_down(model, noisy, tmp_path, {"of": [], "sizes": [60], "quick": True})
+    command = [sys.executable, str(PEERS), "--quick", "--blocks", "fits", "--folder", str(tmp_path)]
+    settings = os.environ | {"PYTHONPATH": str(PEERS.parents[1])}
     ended = subprocess.run(command, env=settings, capture_output=True, text=True, timeout=300, check=False)
     assert ended.returncode == 0, ended.stderr
-    return (folder / "table.md").read_text(), ended.stdout
-
-
-def test_scipy_and_the_package_reach_one_optimum_each_with_its_own_memory(quick):
-    written, printed = quick
-    assert written == printed
-    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in written.splitlines() if line[:2] == "| "]
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in ended.stdout.splitlines()]
     rows = {name: cells for name, *cells in lines}
     for name in ("bayes_aero", "scipy least_squares, trf", "scipy least_squares, lm"):
         assert float(rows[name][2]) < 1e-2, (name, rows[name])  # nats above the best
     assert float(rows["scipy least_squares, lm"][3]) < 0.6 * float(rows["bayes_aero"][3])  # it loads no JAX
-
-
-SEED = 11
 
 
 @pytest.mark.parametrize("kind", list(INNER))
@@ -155,7 +142,7 @@ def test_the_inner_holdout_is_a_part_of_the_training_part(kind):
 
 def test_a_one_step_network_finds_the_parameter_that_flew_the_states():
     pytest.importorskip("sklearn", reason="scikit-learn comes with the `bench` extra")
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(11)
     m, true = 600, 0.7
     control = np.repeat(rng.standard_normal(m // 10), 10)
     x = np.zeros(m)
@@ -165,7 +152,7 @@ def test_a_one_step_network_finds_the_parameter_that_flew_the_states():
     train = np.arange(m) < 400
     inner = train & (np.arange(m) >= 300)
     problem = Problem(control[:, None], measured, x[:, None], np.zeros(m, int), train, inner)
-    guess = one_step(problem, SEED, lambda theta: theta[0] * control[:, None], np.array([0.2]), ([-5.0], [5.0]))
+    guess = one_step(problem, 11, lambda theta: theta[0] * control[:, None], np.array([0.2]), ([-5.0], [5.0]))
     np.testing.assert_allclose(guess.mean, measured, atol=0.01 * true * np.abs(control).max())
 
 
@@ -209,16 +196,11 @@ def silent(kind, seed, posterior):
     return {"kind": kind, "seed": seed, "trials": trials.get(kind, {}), "sampled": posterior}
 
 
-@pytest.fixture
-def pool():
-    with ThreadPoolExecutor(2) as opened:
-        yield opened
-
-
-def test_a_run_flies_every_kind_and_is_entered(tmp_path, pool):
+def test_a_run_flies_every_kind_and_is_entered(tmp_path):
     run, rows = Run("abc", 3, False, 77), []
-    assert fly(run, tmp_path, silent, pool, 2, 0.0, []) == []  # no flight is begun after the time
-    fly(run, tmp_path, silent, pool, 2, 60.0, rows)
+    with ThreadPoolExecutor(2) as pool:
+        assert fly(run, tmp_path, silent, pool, 2, 0.0, []) == []  # no flight is begun after the time
+        fly(run, tmp_path, silent, pool, 2, 60.0, rows)
     assert len((tmp_path / "flights.jsonl").read_text().splitlines()) == len(rows)
     assert Counter(row["kind"] for row in rows) == {kind: 3 * each for kind, each in ROUND.items()}
     for kind, each in ROUND.items():
@@ -279,9 +261,9 @@ def test_rows_that_are_there_are_not_run_again(tmp_path, capsys):
 
     path, cases = tmp_path / "study" / "rows.jsonl", {seed: partial(case, seed) for seed in (1, 2, 3, 4)}
     with pytest.raises(KeyboardInterrupt):
-        studies.resumed(path, cases)
+        studies.resumed(path, cases, one_length=True)
     assert run == [1, 2, 4]
-    rows = studies.resumed(path, cases)
+    rows = studies.resumed(path, cases, one_length=True)
     assert [row["seed"] for row in rows] == [1, 2, 4]
     assert run == [1, 2, 4, 4]  # the first two once
     assert "3: it leaves the envelope" in capsys.readouterr().err
