@@ -263,12 +263,10 @@ def test_other_hosts_are_refused_and_the_page_names_none(served):
     assert "cdn." not in html
 
 
-@pytest.mark.parametrize(
-    "origin", ["http://example.com", "http://127.0.0.1:1", "null", "https://127.0.0.1.example.com"]
-)
-def test_a_websocket_of_another_origin_is_refused(served, origin, monkeypatch):
+def test_a_websocket_of_another_origin_is_refused(served, monkeypatch):
     monkeypatch.setenv("BOKEH_ALLOW_WS_ORIGIN", "example.com,127.0.0.1:1")
-    assert asked(served.port, "/ws", Origin=origin, **UPGRADE)[0] == 403
+    for origin in ("http://example.com", "http://127.0.0.1:1", "null", "https://127.0.0.1.example.com"):
+        assert asked(served.port, "/ws", Origin=origin, **UPGRADE)[0] == 403
 
 
 def test_it_listens_on_this_machine_alone_and_a_taken_port_is_one_sentence(served):
