@@ -8,7 +8,7 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module, resources
 from pathlib import Path
 
@@ -19,8 +19,6 @@ import pandas as pd
 import pytest
 import xarray as xr
 from beartype.roar import BeartypeCallHintViolation
-from jaxtyping import Float
-from typechecker import check_once
 
 import bayes_aero as ba
 import bayes_aero.effects as effects
@@ -34,7 +32,7 @@ from bayes_aero.flight import reading
 from bayes_aero.flight.health import Consistency
 from bayes_aero.flight.health.channel import channel_health
 from bayes_aero.flight.text import open_text
-from bayes_aero.inference.results import Posterior, PosteriorStatus
+from bayes_aero.inference.results import Posterior, PosteriorStatus, score
 from bayes_aero.jobs.check import RecordChecks
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.observations import DEFAULT, Colour
@@ -150,7 +148,7 @@ def test_whatever_reads_records_makes_the_same_checks():
 ENTRY = '''
 """Drag of the elevator, squared."""
 from bayes_aero.effects.longitudinal import ELEVATOR_DRAG
-from dataclasses import dataclass, replace
+from dataclasses import replace
 ELEVATOR_DRAG_AGAIN = replace(ELEVATOR_DRAG, name="elevator_drag_again")
 '''
 
@@ -244,26 +242,7 @@ def test_the_former_emitters_are_asked_for_unless_flags_say_otherwise(flags, add
     assert ended.stdout.splitlines() == [flags + added, "2.0"]
 
 
-N, M = np.zeros(3), np.zeros(4)
-
-
-@check_once
-def both(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], scale: float = 1.0) -> Float[np.ndarray, " n"]:
-    return np.concatenate([x, y]) if scale < 0.0 else scale * (x + y)
-
-
-@check_once
-@dataclass
-class Pair:
-    x: Float[np.ndarray, " n"]
-    y: Float[np.ndarray, " n"]
-
-
-def test_shapes_and_types_are_checked_as_the_package_runs_under_test():
-    assert both(N, N, 2).shape == (3,)
-    assert both(M, M).shape == (4,)  # a letter means another size at the next call
-    assert Pair(N, y=N).x is N
-    wrong = [(N, M), (N, N, "1"), (N, np.zeros((3, 1))), (N, np.zeros(3, dtype=int)), (N, N, -1.0)]
-    for use, given in [*((both, given) for given in wrong), (Pair, (N, M)), (smooth, ("no signal", 0.1))]:
-        with pytest.raises(BeartypeCallHintViolation):
-            use(*given)
+@pytest.mark.parametrize(("use", "given"), [(smooth, ("no signal", 0.1)), (score, (np.zeros(3), np.zeros(4)))])
+def test_types_and_shapes_are_checked_as_the_package_runs_under_test(use, given):
+    with pytest.raises(BeartypeCallHintViolation):
+        use(*given)

@@ -17,10 +17,9 @@ import pytest
 import studies
 from calibration import DRAWS, band_of, calibration_table, covariance, process_replicate, rank, stall_replicate
 from interval_coverage import METHODS, coverage_study
-from qualification import CUBIC, DT, NOISE, OUTPUTS, N, aircraft, flight
-from qualification import TRUTH as FLOWN
+from qualification import OUTPUTS, aircraft
 from scipy.stats import binomtest, multivariate_normal
-from seed_rivals import INNER, Problem, one_step, problems
+from seed_rivals import INNER, problems
 from verify import CLAIMS, LEVEL, ROUND, Claim, Run, Side, count, enter, fly, line_of
 
 from bayes_aero.errors import InputError
@@ -140,22 +139,6 @@ def test_the_inner_holdout_is_a_part_of_the_training_part(kind):
             assert len(np.unique(p.manoeuvre[p.train])) == 1
 
 
-def test_a_one_step_network_finds_the_parameter_that_flew_the_states():
-    pytest.importorskip("sklearn", reason="scikit-learn comes with the `bench` extra")
-    rng = np.random.default_rng(11)
-    m, true = 600, 0.7
-    control = np.repeat(rng.standard_normal(m // 10), 10)
-    x = np.zeros(m)
-    for k in range(m - 1):
-        x[k + 1] = 0.9 * x[k] + 0.2 * true * control[k]
-    measured = (true * control)[:, None]
-    train = np.arange(m) < 400
-    inner = train & (np.arange(m) >= 300)
-    problem = Problem(control[:, None], measured, x[:, None], np.zeros(m, int), train, inner)
-    guess = one_step(problem, 11, lambda theta: theta[0] * control[:, None], np.array([0.2]), ([-5.0], [5.0]))
-    np.testing.assert_allclose(guess.mean, measured, atol=0.01 * true * np.abs(control).max())
-
-
 README = Path(__file__).parents[2] / "benchmarks" / "README.md"
 COUNTS = [(0, 1), (1, 1), (0, 16), (3, 16), (5, 16), (16, 16), (7, 40), (191, 200), (200, 200)]
 
@@ -268,20 +251,6 @@ def test_rows_that_are_there_are_not_run_again(tmp_path, capsys):
     assert run == [1, 2, 4, 4]  # the first two once
     assert "3: it leaves the envelope" in capsys.readouterr().err
     assert len(path.read_text().splitlines()) == 3
-
-
-def test_the_true_aircraft_obeys_its_equations():
-    """Accelerations from noisy rates: with the cubic moment the residual of q-dot is noise and turbulence."""
-    rng = np.random.default_rng(0)
-    de = 0.04 * np.sin(2.0 * np.pi * DT * np.arange(N) / 3.0)
-    record = flight(FLOWN, de, rng, "one")
-    alpha, q = record["alpha"], record["q"]
-    q_dot = np.gradient(q, DT)
-    full = FLOWN["Malpha"] * alpha + CUBIC * alpha**3 + FLOWN["Mq"] * q + FLOWN["Mde"] * de
-    noise = NOISE["q"] / DT / np.sqrt(2.0)
-    assert np.std(q_dot - full) < 2.0 * noise
-    assert np.std(q_dot - full + CUBIC * alpha**3) > np.std(q_dot - full)
-    assert np.allclose(record["az"].mean(), 90.0 * np.mean(FLOWN["Zalpha"] * alpha + FLOWN["Zde"] * de), atol=0.05)
 
 
 def test_stated_probabilities_order_what_happens():

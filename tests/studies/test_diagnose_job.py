@@ -188,17 +188,6 @@ def test_what_was_found_beside_an_interrupted_flight_is_on_disk(repeated, card, 
     assert validated(tmp_path / "diagnosis.json", "diagnosis")["test_points"] == DECIDED
 
 
-def test_a_state_that_cannot_be_trimmed_has_no_test_points(diagnosed, monkeypatch):
-    monkeypatch.setattr(job, "next_test_points", refused)
-    found = diagnosed.view.diagnosis
-    candidates = found.aerodynamics.state.full.candidates
-    rival = next(e.name for e in candidates if e.name != found.causes[0].name and e.parameters)
-    cause = replace(found.causes[0], ambiguous_with=(rival,), stage="coefficients")
-    with pytest.raises(InputError, match="cannot fly"):  # which the job notes
-        job.proposed_points(replace(found, causes=(cause,)))
-    assert job.proposed_points(replace(found, causes=(), together=(), absorbed=())) == {}
-
-
 def test_a_folder_that_cannot_be_made_is_told_before_the_work(card, tmp_path, monkeypatch):
     monkeypatch.setattr(job, "diagnose", killed)
     (tmp_path / "file").write_text("")
