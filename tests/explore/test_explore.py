@@ -172,9 +172,8 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(own):
 
 def test_sliders_hold_the_estimate_within_the_bounds(own):
     identified = own.opened.identified
-    groups = explored.groups_of(
-        identified.model, identified.values, own.opened.errors, ("separation_lag", "mass_scale")
-    )
+    added = ("separation_lag", "mass_scale")
+    groups = explored.groups_of(identified.model, identified.values, own.opened.errors, added)
     sliders = {s.name: s for group in groups for s in group.sliders}
     bounds = {p.name: p.bounds for p in identified.model.extended("mass_scale").parameters}
     for s in sliders.values():
