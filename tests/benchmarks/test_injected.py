@@ -135,21 +135,6 @@ def test_without_accelerometers_a_bump_is_found_in_flight_and_written(tmp_path, 
     assert len(own_effects([path])) == len(content["terms"])
 
 
-@pytest.mark.recovery
-def test_a_flight_that_breaks_down_after_its_record_leaves_the_record_whole():
-    """Simulations are longer than what is kept; filters had spread what was no number there over all channels."""
-    rng = np.random.default_rng([703, 31])
-    rng.choice(3)  # of the noise
-    for _ in range(20):
-        coefficient, name, values = unlisted_terms.draw(rng)
-        if "unlisted_product" in values:
-            break
-    assert (coefficient, name) == ("CL", "elevator CT^2")
-    beyond = Beyond((unlisted_terms.UNLISTED,), lambda _: values)
-    for record in hidden_records({}, seed=703, noise="ar1", seconds=90.0, beyond=beyond):
-        assert all(np.all(np.isfinite(x)) for x in record.channels.values())
-
-
 def alone(found, name, size, most):
     """One cause, without rivals, of this size to `most` of it."""
     (cause,) = found.causes

@@ -165,6 +165,15 @@ def test_what_cannot_be_hidden_is_said(hidden, options, said):
         hidden_records(hidden, seed=0, **options)
 
 
+def test_a_flight_that_breaks_down_after_its_record_leaves_the_record_whole():
+    """Simulations are longer than what is kept: this one has no numbers after 31 s, which filters must not spread."""
+    hidden = {"alpha_squared_moment": {"Cma2": 3.0}}
+    (record,) = hidden_records(hidden, seed=0, manoeuvres=1, seconds=20.0)
+    assert all(np.all(np.isfinite(x)) for x in record.channels.values())
+    with pytest.raises(InputError, match="leaves its envelope"):
+        hidden_records(hidden, seed=0, manoeuvres=1, seconds=50.0)
+
+
 @pytest.fixture(scope="module")
 def stalls(card):
     """The same two stalls' recipes at 25 and 100 Hz."""
