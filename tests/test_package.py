@@ -15,7 +15,6 @@ from pathlib import Path
 import jax
 import matplotlib.figure
 import numpy as np
-import pandas as pd
 import pytest
 import xarray as xr
 from beartype.roar import BeartypeCallHintViolation
@@ -68,25 +67,21 @@ def fitted(clean_records, card):
 
 
 def test_a_composed_model_keeps_the_card_s_priors_and_finds_nothing_where_nothing_is(fitted, card):
-    base = ba.Model.from_card(card)
     kept = {p.name: p for p in fitted.run.model.parameters}
-    assert all(kept[p.name] == p for p in base.parameters)
-    i = fitted.mle.names.index("thrust_arm")
-    assert abs(fitted.mle.estimate[i]) < 0.05  # m; the simulation's line of thrust goes through the centre of gravity
-
-
-def test_table_and_plot(fitted):
-    table = fitted.table()
-    assert isinstance(table, pd.DataFrame)
+    assert all(kept[p.name] == p for p in ba.Model.from_card(card).parameters)
+    table = fitted.table()  # the simulation's line of thrust goes through the centre of gravity
     assert list(table.index) == list(ordered(fitted.mle.names, fitted.mle.parameters))
+    assert abs(fitted.mle.estimate[fitted.mle.names.index("thrust_arm")]) < 0.05  # m
     np.testing.assert_allclose(table.loc["Cmq", "crb"], fitted.mle.crb[fitted.mle.names.index("Cmq")])
+
+
+def test_figures_are_drawn_and_what_cannot_be_is_said(fitted):
     figure = ba.plot(fitted, width=10.0)
     assert isinstance(figure, matplotlib.figure.Figure)
     assert figure.get_size_inches()[0] == 10.0
-    with pytest.raises(ba.InputError, match="no posterior"):
-        ba.plot(fitted, "trace_emcee")
-    with pytest.raises(ba.InputError, match="forest"):
-        ba.plot(fitted, "florest")
+    for name, words in (("trace_emcee", "no posterior"), ("florest", "forest")):
+        with pytest.raises(ba.InputError, match=words):
+            ba.plot(fitted, name)
     with pytest.raises(ba.InputError, match="gpr"):
         fitted.validation()
 

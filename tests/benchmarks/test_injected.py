@@ -9,6 +9,7 @@ from calling import validated
 from injected_effects import injected
 from lateral_effects import CAUSES, MODEL, NAMED, card_of
 from lateral_effects import flown as flown_wing
+from studies import without_accelerometers
 
 from bayes_aero.diagnosis import selection_state
 from bayes_aero.diagnosis.diagnose import diagnose
@@ -82,15 +83,12 @@ def test_sensor_errors_are_found_on_top_of_what_the_real_records_contain(attas_p
 TERM_SEED = 107
 
 
-def flown(values):
-    beyond = Beyond((unlisted_terms.UNLISTED,), lambda _: values)
-    return hidden_records({}, seed=TERM_SEED, noise="ar1", seconds=90.0, beyond=beyond)
-
-
 @pytest.mark.verify
 def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
     coefficient, name, values = unlisted_terms.draw(np.random.default_rng([TERM_SEED, 31]))
-    true, records, card = values["unlisted_product"], flown(values), read_card("attas")
+    true, card = values["unlisted_product"], read_card("attas")
+    beyond = Beyond((unlisted_terms.UNLISTED,), lambda _: values)
+    records = hidden_records({}, seed=TERM_SEED, noise="ar1", seconds=90.0, beyond=beyond)
     found = diagnose(records, card, seed=TERM_SEED)
     assert found.failures == ()
     assert found.verdict is Verdict.UNEXPLAINED
@@ -116,12 +114,9 @@ def test_without_accelerometers_a_bump_is_found_in_flight_and_written(tmp_path, 
     """Of few effects, which compile sooner. The bump of Cm over alpha has a width of 0.03 rad."""
     few = ("thrust_moment", "pitch_rate_lift", "mach_drag", "alpha_bias")
     monkeypatch.setattr(selection_state, "CATALOGUE", {name: CATALOGUE[name] for name in few})
-    rng = np.random.default_rng([501, 31])
-    noise, (coefficient, name, values) = str(rng.choice(["white", "ar1", "buffet"])), unlisted_terms.draw(rng)
+    (coefficient, name, _), noise, flown = unlisted_terms.in_stalls(501, False)
     assert (noise, coefficient, name) == ("white", "Cm", "exp")
-    beyond = Beyond((unlisted_terms.UNLISTED,), lambda _: values)
-    flown = hidden_records({}, seed=501, noise=noise, seconds=90.0, beyond=beyond)
-    records = [unlisted_terms.without_accelerometers(r) for r in flown]
+    records = [without_accelerometers(r) for r in flown]
     told = diagnose_records(records, read_card("attas"), DiagnoseOptions(), out=tmp_path)
     content = validated(tmp_path / "diagnosis.json", "diagnosis")
     assert content["failures"] == []

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import studies
-from calibration import DRAWS, band_of, calibration_table, covariance, process_replicate, rank, stall_replicate
+from calibration import DRAWS, band_of, calibration_table, covariance, rank, stall_replicate
 from interval_coverage import METHODS, coverage_study
 from qualification import OUTPUTS, aircraft
 from scipy.stats import binomtest, multivariate_normal
@@ -69,14 +69,6 @@ def test_a_sample_function_has_the_covariance_that_the_engine_assumes():
     data = ReducedData.of(x, y)
     value = density_at(theta, exact_point(noise_to_signal(theta), data), data.n, Priors())
     assert value - Priors().slopes(theta)[0] == pytest.approx(exact, abs=1e-8)
-
-
-@pytest.mark.verify
-def test_a_process_replicate_ranks_every_hyperparameter():
-    x = np.random.default_rng(5).standard_normal((40, 1))
-    found = process_replicate(x, ("alpha",), 1)
-    assert set(found["ranks"]) == {"constant", "linear[alpha]", "signal", "length_scale[alpha]", "noise"}
-    assert all(0 <= k <= DRAWS for k in found["ranks"].values())
 
 
 def test_the_table_counts_coverage_in_closed_form():

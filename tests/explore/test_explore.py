@@ -127,11 +127,9 @@ EXPORTED = CHOICES | {"sensor": SENSOR}
 
 
 @pytest.fixture(scope="module")
-def own(results, tmp_path_factory):
+def own(results, served):
     """A simulator of a result that may be written to."""
-    folder = tmp_path_factory.mktemp("handed") / "flown"
-    shutil.copytree(results.flown, folder)
-    return Simulator(explored.open_result(str(folder), None, [results.folder]))
+    return Simulator(explored.open_result(str(served.folder), None, [results.folder]))
 
 
 @pytest.mark.parametrize(
@@ -227,13 +225,8 @@ def test_what_it_never_sends_is_one_sentence(old, new):
         read_asked(text)
 
 
-UPGRADE = {
-    "Connection": "Upgrade",
-    "Upgrade": "websocket",
-    "Sec-WebSocket-Version": "13",
-    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",  # of RFC 6455
-    "Sec-WebSocket-Protocol": "bokeh, none",
-}
+UPGRADE = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}  # with the key of RFC 6455
+UPGRADE |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protocol": "bokeh, none"}
 
 
 def asked(port, path="/", **headers):

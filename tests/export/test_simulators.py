@@ -65,8 +65,9 @@ def test_coefficients_of_every_effect_are_the_models(random_flights):
         assert np.ptp(x) > 0.01
 
 
-def test_forces_and_moments_have_the_units_and_lengths_of_the_card(random_flights):
-    """Newtons and newton metres from SI coefficients by the definition, with the arm of the reference point."""
+def test_forces_moments_and_turning_have_the_units_the_lengths_and_the_inertia_of_the_card(random_flights):
+    """Newtons and newton metres from SI coefficients by the definition, with the arm of the reference point; Euler's
+    equations with the tensor of the card's products, where the angular velocity is that of the frame before."""
     found, sim = random_flights
     a = found.actual_aircraft
     area = 0.5 * sim["density"] * sim["airspeed"] ** 2 * a.wing_area
@@ -84,18 +85,11 @@ def test_forces_and_moments_have_the_units_and_lengths_of_the_card(random_flight
     engine = np.cross(a.engine, thrust)
     told = np.stack([sim[f"engine_{n}"] for n in "lmn"], axis=1)
     np.testing.assert_allclose(told, engine, atol=1e-9 * np.abs(engine).max())
-
-
-def test_the_body_has_the_inertia_of_the_card(random_flights):
-    """Euler's equations with the tensor of the card's products; angular velocity is that of the frame before."""
-    found, sim = random_flights
-    a = found.actual_aircraft
     tensor = np.array([[a.Ix, -a.Ixy, -a.Ixz], [-a.Ixy, a.Iy, -a.Iyz], [-a.Ixz, -a.Iyz, a.Iz]])
-    spin = np.stack([sim[n] for n in "pqr"], axis=1)
-    total = np.stack([sim[f"total_{n}"] for n in "lmn"], axis=1)
-    expected = np.linalg.solve(tensor, (total - np.cross(spin, spin @ tensor)).T).T
+    spin, total = (np.stack([sim[n] for n in names], axis=1) for names in ("pqr", ("total_l", "total_m", "total_n")))
+    faster = np.linalg.solve(tensor, (total - np.cross(spin, spin @ tensor)).T).T
     told = np.stack([sim[f"{n}_dot"] for n in "pqr"], axis=1)
-    np.testing.assert_allclose(told, expected, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(told, faster, atol=1e-9 * np.abs(faster).max())
 
 
 def within(found, expected, names):
@@ -119,8 +113,9 @@ def test_a_stall_is_flown_as_the_package_flies_it(tmp_path):
     found = stall(5.0)
     system, start, inputs, record = recorded_stall(found, 0.0, 60.0)
     outputs = {n: STATES[n] for n in ("airspeed", "alpha", "theta", "q", "altitude")}
-    outputs |= {n: (f"bayes-aero/coefficient/{n}", 1.0) for n in ("CL", "CD", "Cm")}
-    outputs |= {"X": ("bayes-aero/state/X", 1.0)}
+    outputs |= {n: (f"bayes-aero/coefficient/{n}", 1.0) for n in ("CL", "CD", "Cm")} | {
+        "X": ("bayes-aero/state/X", 1.0)
+    }
     sim = flown(loaded(found, tmp_path), start, inputs, record.dt, STALL_FRAMES, outputs)
     expected = simulated(system, start, inputs, record.dt, X=sim["X"][0])
     assert np.ptp(expected["X"]) > 0.3

@@ -24,8 +24,8 @@ from bayes_aero.report.figures import diagnosis
 
 POINT = {"manoeuvre": "thrust_steps", "amplitude": 1.5, "airspeed": 95.4, "altitude": 5200.0, "seconds": 60.0}
 POINT |= {"excursion": {"alpha": [0.07, 0.21]}, "standard_errors": [6.25], "nats_per_second": 0.3}
-QUESTIONS = [{"effects": ["a", "b"], "enough": 5.0, "present": 0.7}]
-DECIDED = {"questions": QUESTIONS, "points": [POINT], "refused": {}, "envelope": {}, "stated": []}
+DECIDED = {"questions": [{"effects": ["a", "b"], "enough": 5.0, "present": 0.7}], "points": [POINT]}
+DECIDED |= {"refused": {}, "envelope": {}, "stated": []}
 
 
 def read_histories(folder):

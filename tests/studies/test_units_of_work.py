@@ -110,11 +110,9 @@ def test_other_versions_and_a_folder_that_is_not_shared_are_refused(driver):
 def test_what_is_compiled_is_forgotten_when_memory_runs_short(driver, monkeypatch):
     forgot = []
     monkeypatch.setattr("bayes_aero.processes.give_back_memory", lambda: forgot.append(True))
-    work({"name": "one"}, "", driver, 1 << 50)
-    work({"name": "one"}, "", driver, None)
-    assert not forgot
-    work({"name": "one"}, "", driver, 1 << 20)
-    assert forgot
+    for memory, times in ((1 << 50, 0), (None, 0), (1 << 20, 1)):
+        work({"name": "one"}, "", driver, memory)
+        assert len(forgot) == times
 
 
 def test_a_worker_keeps_to_its_cores_and_the_cache_lies_where_the_user_says(monkeypatch, tmp_path):
@@ -183,9 +181,12 @@ def filled(folder: Path, text: str) -> Path:
     return folder
 
 
+def contents(folder: Path) -> dict[str, str]:
+    return {path.name: (path / "results.json").read_text() for path in folder.iterdir()}
+
+
 def test_a_kill_between_the_renames_leaves_what_was_there(tmp_path, monkeypatch, dead):
-    target = filled(tmp_path / "unit", "old")
-    replace = os.replace
+    target, replace = filled(tmp_path / "unit", "old"), os.replace
 
     def killed(source, to):
         if Path(to) == target:
@@ -199,13 +200,11 @@ def test_a_kill_between_the_renames_leaves_what_was_there(tmp_path, monkeypatch,
     assert not target.exists()
     monkeypatch.undo()
     sweep(tmp_path)
-    assert (target / "results.json").read_text() == "old"
-    assert [path.name for path in tmp_path.iterdir()] == ["unit"]
+    assert contents(tmp_path) == {"unit": "old"}
 
 
 def test_a_neighbour_that_puts_the_same_unit_first_is_replaced(tmp_path, monkeypatch):
-    target = tmp_path / "unit"
-    replace, raced = os.replace, []
+    target, replace, raced = tmp_path / "unit", os.replace, []
 
     def racing(source, to):
         if Path(to) == target and not raced:
@@ -215,8 +214,7 @@ def test_a_neighbour_that_puts_the_same_unit_first_is_replaced(tmp_path, monkeyp
     monkeypatch.setattr(os, "replace", racing)
     put_folder(filled(beside(target), "ours"), target)
     assert raced
-    assert (target / "results.json").read_text() == "ours"
-    assert [path.name for path in tmp_path.iterdir()] == ["unit"]
+    assert contents(tmp_path) == {"unit": "ours"}
 
 
 def test_everything_is_on_the_disk_before_it_is_named(tmp_path, monkeypatch):
