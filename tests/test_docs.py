@@ -43,10 +43,6 @@ def site(tmp_path_factory):
     return folder
 
 
-def text_of(page: Path) -> str:
-    return unescape(page.read_text(encoding="utf-8"))
-
-
 def test_nothing_is_fetched_from_elsewhere(site):
     pages = list(site.rglob("*.html"))
     assert len(pages) > 20
@@ -74,8 +70,7 @@ def keys_of(part):
     return set().union(*map(keys_of, part)) if isinstance(part, list) else set()
 
 
-EFFECTS = [rf'id="{e.name}"' for e in ba.CATALOGUE.values()]
-EFFECTS += [re.escape(e.claim) for e in ba.CATALOGUE.values()]
+EFFECTS = [x for e in ba.CATALOGUE.values() for x in (f'id="{e.name}"', re.escape(e.claim))]
 EFFECTS += [p.name for e in ba.CATALOGUE.values() for p in e.parameters]
 CARD = {*AIRCRAFT_KEYS, *STANDARD_CHANNELS, *PARAMETER_KEYS, *FAMILIES, "column", "label", "unit", "required"}
 CARD |= {"effects", "effect_files", "fixed", "states", "rates", "outputs"}
@@ -93,7 +88,7 @@ REFERENCE = {
 
 @pytest.mark.parametrize("page", REFERENCE)
 def test_reference_lists_every_name_effect_option_and_key(site, page):
-    text = text_of(site / "reference" / f"{page.split(':')[0]}.html")
+    text = unescape((site / "reference" / f"{page.split(':')[0]}.html").read_text(encoding="utf-8"))
     assert len(REFERENCE[page]) > (3 if page == "cli" else 10)
     assert [wanted for wanted in REFERENCE[page] if not re.search(wanted, text)] == []
 
