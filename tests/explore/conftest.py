@@ -1,4 +1,4 @@
-"""Two short simulated stalls, and the results of fly and identify on them."""
+"""Two short simulated stalls, and the result of fly on them."""
 
 import asyncio
 import json
@@ -24,16 +24,13 @@ from bayes_aero.simulate.demo import simulate_stall
 
 @pytest.fixture(scope="session")
 def results(tmp_path_factory, card):
-    """A folder with two records (seed 5, noise and disturbance as usual; the second is shorter), and `flown` and
-    `identified`: of the same records, which one compilation serves."""
+    """A folder with two records (seed 5, noise and disturbance as usual; the second is shorter), and `flown`."""
     there = tmp_path_factory.mktemp("explore")
     for number, (name, end) in enumerate({"stall": 62.0, "second": 52.0}.items()):
         recorded(simulate_stall(number, card=card, seed=5).window(30.0, end), there / f"{name}.csv", card)
-    both = ("stall.csv", "second.csv", "--no-figures", "--out")
-    flown = called(there, "fly", *both, "flown", "--no-process-noise")
-    identified = called(there, "identify", *both, "identified", "--no-sample", "--no-gp")
-    assert {flown.code, identified.code} <= {0, 3}, flown.err + identified.err
-    return SimpleNamespace(folder=there, flown=there / "flown", identified=there / "identified")
+    flown = called(there, "fly", "stall.csv", "second.csv", "--out", "flown", "--no-figures", "--no-process-noise")
+    assert flown.code in (0, 3), flown.err
+    return SimpleNamespace(folder=there, flown=there / "flown")
 
 
 @pytest.fixture(scope="session")

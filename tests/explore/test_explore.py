@@ -23,8 +23,7 @@ from bayes_aero.export.simulators import slave_source
 from bayes_aero.flight.reading import read_record
 from bayes_aero.jobs.finished import FORMS
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import despiked, join, observe
-from bayes_aero.physics.aircraft import FLIGHT
+from bayes_aero.model.observations import observe
 
 
 def agree(found, expected):
@@ -106,24 +105,28 @@ def test_draws_have_the_covariance_of_the_fit(simulator, monkeypatch):
     np.testing.assert_allclose(np.std(drawn, axis=0), expected, rtol=0.15)
 
 
-def test_every_manoeuvre_of_identify_flies_from_its_measured_state(results, card, model):
-    """As the package flies all of them together."""
-    simulator = Simulator(explored.open_result(str(results.identified)))
-    assert simulator.opened.departures == {}
-    assert simulator.manoeuvres == ("stall", "second")
-    records = [read_record(results.folder / f"{name}.csv", card.channels) for name in simulator.manoeuvres]
-    flights, _ = despiked(join(records, card, FLIGHT))
-    paths = fly_given(flights, model, simulator.opened.identified.values, {})
+def test_without_fitted_states_every_manoeuvre_flies_from_its_measured_one(simulator, model):
+    """As of a result of identify; as the package flies all of them together."""
+    found = Simulator(replace(simulator.opened, departures={}))
+    assert found.manoeuvres == ("stall", "second")
+    paths = fly_given(found.flights, model, found.opened.identified.values, {})
     assert len(paths[0].time) > len(paths[1].time)
     for k, path in enumerate(paths):
-        now = simulator.fly(k, Choice())
+        now = found.fly(k, Choice())
         agree(now.simulated, path.simulated)
-        np.testing.assert_array_equal(simulator.time(k), path.time)
+        np.testing.assert_array_equal(found.time(k), path.time)
         assert {len(y) for y in (*now.coefficients.values(), *now.formed.values())} == {len(path.time)}
 
 
 SENSOR = Choice({"alpha_bias": 0.01}, frozenset({"mach_lift"}), ("alpha_bias", "alpha_dot_moment"))
 EXPORTED = CHOICES | {"sensor": SENSOR}
+
+
+def valued(found, choice):
+    """Values of all parameters of what is chosen."""
+    given = found.identified.values | dict(choice.values)
+    model = explored.flown_model(found.identified.model, choice)
+    return {p.name: given.get(p.name, p.neutral) for p in model.parameters}
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +139,8 @@ def own(results, served):
     ("form", "name"), [*((form, "sensor") for form in FORMS), *(("jsbsim", name) for name in CHOICES)]
 )
 def test_every_form_takes_every_choice(own, form, name):
-    folder, files = explored.export_chosen(own.opened, EXPORTED[name], own.fly(0, EXPORTED[name]).values, form)
+    choice = EXPORTED[name]
+    folder, files = explored.export_chosen(own.opened, choice, valued(own.opened, choice), form)
     assert folder.parent == own.opened.folder / "exports"
     assert all((folder / file).stat().st_size > 0 for file in files)
 
@@ -145,7 +149,7 @@ def test_every_form_takes_every_choice(own, form, name):
 def test_the_exported_function_has_the_coefficients_of_the_page(own, name):
     """The function of an FMU at single samples of the corrected record, against the model that is flown."""
     choice = EXPORTED[name]
-    values = own.fly(0, choice).values
+    values = valued(own.opened, choice)
     chosen, exported = explored.chosen_model(own.opened, choice, values), {}
     exec(compile(slave_source(chosen, "exported"), "exported.py", "exec"), exported)
     flown, flights = explored.flown_model(own.opened.identified.model, choice), own.flights
@@ -164,7 +168,7 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(own):
     shutil.rmtree(blocked, ignore_errors=True)
     blocked.write_text("a file")
     with pytest.raises(InputError, match=r"cannot write .*exports"):
-        explored.export_chosen(own.opened, Choice(), own.fly(0, Choice()).values, "jsbsim")
+        explored.export_chosen(own.opened, Choice(), valued(own.opened, Choice()), "jsbsim")
     blocked.unlink()
 
 
