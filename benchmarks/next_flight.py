@@ -20,6 +20,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 from calibration import band_of, rank
+from studies import print_inside
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.mle import fit_mle
@@ -122,9 +123,8 @@ def fly_again(aircraft: int, manoeuvres: int) -> None:
         ("next stall in the interval of one value for all", jointly),
         ("true aircraft in its interval", truly),
     ):
-        each = np.mean(one, axis=0)
-        worst = model.names[int(np.argmin(each))]
-        print(f"  {what}: {np.mean(one):.1%} (least {each.min():.0%}, {worst})")
+        print(what)
+        print_inside(model.names, np.array(one))
 
 
 def main() -> None:

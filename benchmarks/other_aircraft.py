@@ -47,8 +47,7 @@ def report(rows: list[Row]) -> None:
     studies.print_sizes(some)
 
 
-def main() -> None:
-    """Fly, and report."""
+if __name__ == "__main__":
     parser = studies.parser_of(__doc__, "strangers")
     parser.add_argument("--gusts", type=float, default=0.0, help="their deviation, m/s")
     parser.add_argument("--poor", action="store_true", help="by recorders that colour, filter and round")
@@ -59,7 +58,3 @@ def main() -> None:
     given = parser.parse_args()
     settings = {name: getattr(given, name) for name in ("gusts", "poor", "silent", "process_noise")}
     report(studies.run_seeds(given, "strangers.jsonl", case, manoeuvres=1 if given.single else 2, **settings))
-
-
-if __name__ == "__main__":
-    main()

@@ -66,9 +66,11 @@ def killed(*_):
 
 
 @pytest.fixture(scope="module")
-def repeated(diagnosed):
-    """The job with the diagnosis already made."""
+def repeated(diagnosed, card):
+    """The job with the diagnosis and the checks of the records already made."""
+    checks = job.record_checks(diagnosed.records, card, 0)
     with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(job, "record_checks", lambda *_, **__: checks)
         patched.setattr(job, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
         patched.setattr(job, "view_of", lambda _: diagnosed.view)
         yield diagnosed
