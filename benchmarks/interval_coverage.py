@@ -180,7 +180,8 @@ def report_identified(rows: list[Row]) -> None:
             continue
         ends = np.array([row["ends"][method] for row in having])
         inside = (ends[..., 0] <= truth) & (truth <= ends[..., 1])
-        print(f"\n{method}: {len(having)} pairs; {dict(Counter(r['posterior'].lower() for r in having))}")
+        ended = dict(Counter(r["posterior"].lower() for r in having)) if method == IDENTIFIED[1] else ""
+        print(f"\n{method}: {len(having)} pairs {ended}")
         print_inside(names, inside)
         for kind, dt in KINDS:
             here = np.array([row["kind"] == kind and row["dt"] == dt for row in having])
