@@ -25,11 +25,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import six_axes
 import studies
 from lateral_effects import FLOWN as STALLS
 from lateral_effects import MODEL, ONCE, card_of, made
 from scipy.signal import lfilter
+from six_axes import ATTACHED, LATERAL, LONGITUDINAL, NOISE, RECORDED, record
 from stranger_six import Plane, Strips, drawn, fly
 from studies import Row, rows_of
 
@@ -51,7 +51,7 @@ WING_FIRST = (*MODEL, "wing_asymmetry")
 def aircraft(kind: str, rng: np.random.Generator) -> Plane:
     """One at random; each half of the wing of `stall` has a separation point that lags, one of them first."""
     if kind != "stall":
-        return drawn(rng, **six_axes.ATTACHED)
+        return drawn(rng, **ATTACHED)
     first = rng.choice([-1.0, 1.0]) * rng.uniform(0.005, 0.02)
     wing = {"alpha_star": rng.uniform(0.2, 0.22), "tau1": rng.uniform(8.0, 16.0), "first": first}
     return made(Strips, drawn(rng, Clp=-0.45, Clbe=-0.11, **wing))
@@ -64,7 +64,7 @@ def records(kind: str, plane: Plane, rng: np.random.Generator) -> list[FlightRec
     if kind == "coloured":
         return [coloured(name, fly(plane, name, rng, V=V, dt=0.02, seconds=26.0), rng) for name, V in flown.items()]
     return [
-        six_axes.record(name, fly(plane, "stall_in_bank" if name == "again" else name, rng, V=V, gust=gust), rng)
+        record(name, fly(plane, "stall_in_bank" if name == "again" else name, rng, V=V, gust=gust), rng)
         for name, V in flown.items()
     ]
 
@@ -72,8 +72,8 @@ def records(kind: str, plane: Plane, rng: np.random.Generator) -> list[FlightRec
 def coloured(name: str, flight: dict[str, np.ndarray], rng: np.random.Generator) -> FlightRecord:
     """As recorded with noise half of whose variance is of first order with the time constant `SLOW`."""
     n, keep = len(flight["time"]), np.exp(-(flight["time"][1] - flight["time"][0]) / SLOW)
-    shown = {c: flight[c] for c in six_axes.RECORDED}
-    for channel, sd in (six_axes.NOISE | dict.fromkeys(ONCE, SURFACES)).items():
+    shown = {c: flight[c] for c in RECORDED}
+    for channel, sd in (NOISE | dict.fromkeys(ONCE, SURFACES)).items():
         slow = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(n + 400))[400:]
         shown[channel] = shown[channel] + sd * np.sqrt(0.5) * (rng.standard_normal(n) + slow)
     shown["thrust"] = shown["thrust_left"] + shown["thrust_right"]
@@ -97,7 +97,7 @@ def case(kind: str, seed: int, *, flights: bool = True) -> Row:
     """One aircraft: truth, estimates and standard errors by method."""
     began, rng = time.perf_counter(), np.random.default_rng(seed)
     plane = aircraft(kind, rng)
-    card = card_of(plane, WING_FIRST if kind == "stall" else (*six_axes.LONGITUDINAL, *six_axes.LATERAL))
+    card = card_of(plane, WING_FIRST if kind == "stall" else (*LONGITUDINAL, *LATERAL))
     flown, model = records(kind, plane, rng), Model.from_card(card)
     found = without_noise_bias(fit_mle(model, observe(flown, card, model), seed=0), flown, card, model)
     methods = {"coefficients": _estimates(found.status.name, found.names, found.estimate, found.crb_corrected)}
