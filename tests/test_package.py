@@ -60,20 +60,18 @@ def test_public_names_are_locked_documented_and_typed():
 
 
 @pytest.fixture(scope="module")
-def fitted(diagnosed, card):
-    """A model composed of the card's and of what the record hides, fitted."""
-    return ba.fit(diagnosed.records, card, model=ba.Model.from_card(card).extended(*diagnosed.hidden))
+def fitted(clean_records, card):
+    """A model composed in one line and fitted."""
+    return ba.fit(clean_records, card, model=ba.Model.from_card(card).extended("thrust_moment"))
 
 
-def test_a_composed_model_keeps_the_card_s_priors_and_finds_what_is_hidden(fitted, diagnosed, card):
+def test_a_composed_model_keeps_the_card_s_priors_and_finds_nothing_where_nothing_is(fitted, card):
     kept = {p.name: p for p in fitted.run.model.parameters}
     assert all(kept[p.name] == p for p in ba.Model.from_card(card).parameters)
-    table = fitted.table()
+    table = fitted.table()  # the simulation's line of thrust goes through the centre of gravity
     assert list(table.index) == list(ordered(fitted.mle.names, fitted.mle.parameters))
+    assert abs(fitted.mle.estimate[fitted.mle.names.index("thrust_arm")]) < 0.05  # m
     np.testing.assert_allclose(table.loc["Cmq", "crb"], fitted.mle.crb[fitted.mle.names.index("Cmq")])
-    for name, x in {name: x for values in diagnosed.hidden.values() for name, x in values.items()}.items():
-        k = fitted.mle.names.index(name)
-        assert abs(fitted.mle.estimate[k] - x) < 2.0 * fitted.mle.crb_corrected[k] < 0.5 * abs(x), name
 
 
 def test_figures_are_drawn_and_what_cannot_be_is_said(fitted):

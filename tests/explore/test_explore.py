@@ -122,13 +122,6 @@ SENSOR = Choice({"alpha_bias": 0.01}, frozenset({"mach_lift"}), ("alpha_bias", "
 EXPORTED = CHOICES | {"sensor": SENSOR}
 
 
-def valued(found, choice):
-    """Values of all parameters of what is chosen."""
-    given = found.identified.values | dict(choice.values)
-    model = explored.flown_model(found.identified.model, choice)
-    return {p.name: given.get(p.name, p.neutral) for p in model.parameters}
-
-
 @pytest.fixture(scope="module")
 def own(results, served):
     """A simulator of a result that may be written to."""
@@ -140,7 +133,7 @@ def own(results, served):
 )
 def test_every_form_takes_every_choice(own, form, name):
     choice = EXPORTED[name]
-    folder, files = explored.export_chosen(own.opened, choice, valued(own.opened, choice), form)
+    folder, files = explored.export_chosen(own.opened, choice, own.fly(0, choice).values, form)
     assert folder.parent == own.opened.folder / "exports"
     assert all((folder / file).stat().st_size > 0 for file in files)
 
@@ -149,7 +142,7 @@ def test_every_form_takes_every_choice(own, form, name):
 def test_the_exported_function_has_the_coefficients_of_the_page(own, name):
     """The function of an FMU at single samples of the corrected record, against the model that is flown."""
     choice = EXPORTED[name]
-    values = valued(own.opened, choice)
+    values = own.fly(0, choice).values
     chosen, exported = explored.chosen_model(own.opened, choice, values), {}
     exec(compile(slave_source(chosen, "exported"), "exported.py", "exec"), exported)
     flown, flights = explored.flown_model(own.opened.identified.model, choice), own.flights
@@ -168,7 +161,7 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(own):
     shutil.rmtree(blocked, ignore_errors=True)
     blocked.write_text("a file")
     with pytest.raises(InputError, match=r"cannot write .*exports"):
-        explored.export_chosen(own.opened, Choice(), valued(own.opened, Choice()), "jsbsim")
+        explored.export_chosen(own.opened, Choice(), own.fly(0, Choice()).values, "jsbsim")
     blocked.unlink()
 
 
