@@ -14,8 +14,7 @@ function are simultaneous, after Sailynoja, Burkner and Vehtari 2022, Stat. Comp
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -24,7 +23,7 @@ import numpy as np
 import pandas as pd
 from arviz_stats.ecdf_utils import ecdf_pit
 from jaxtyping import Float, Int
-from studies import parser_of, rows_of, run_seeds
+from studies import Row, parser_of, rows_of, run_seeds
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.gp import Budget, sample_posterior, systematic_resample
@@ -45,34 +44,21 @@ ENGINES: dict[str, Callable[..., Posterior]] = {"emcee": sample_ensemble, "NUTS"
 STUDIES = (*ENGINES, "gp")
 
 
-@dataclass(frozen=True)
-class Band:
-    """Difference between the ranks' distribution function and the uniform one, and its simultaneous band."""
-
-    at: Float[np.ndarray, " m"]
-    difference: Float[np.ndarray, " m"]
-    lower: Float[np.ndarray, " m"]
-    upper: Float[np.ndarray, " m"]
-
-    @property
-    def inside(self) -> bool:
-        """Whether the difference stays within the band everywhere."""
-        return bool(np.all((self.difference >= self.lower) & (self.difference <= self.upper)))
-
-
 def rank(truth: Float[np.ndarray, " k"], draws: Float[np.ndarray, "m k"]) -> Int[np.ndarray, " k"]:
     """How many of `DRAWS` evenly thinned draws lie below the truth."""
     kept = draws[np.linspace(0, len(draws) - 1, DRAWS).astype(int)]
     return np.sum(kept < truth, axis=0)
 
 
-def band_of(ranks: Sequence[int]) -> Band:
-    """Difference for ranks 0 to `DRAWS`, and its band. Within its rank a truth is placed at random."""
+def band_of(ranks: Sequence[int] | np.ndarray) -> tuple[bool, float]:
+    """Whether the distribution function of ranks from 0 to `DRAWS` stays within the simultaneous band of the uniform
+    one, and the largest difference of the two. Within its rank a truth is placed at random."""
     n = len(ranks)
     within = np.random.default_rng(0).uniform(size=n)
     share = np.sort((np.asarray(ranks) + within) / (DRAWS + 1))
     at, lower, upper = _limits(n)
-    return Band(at, np.searchsorted(share, at, side="right") / n - at, lower - at, upper - at)
+    found = np.searchsorted(share, at, side="right") / n
+    return bool(np.all((found >= lower) & (found <= upper))), float(np.abs(found - at).max())
 
 
 @cache
@@ -83,16 +69,12 @@ def _limits(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.asarray(at), np.asarray(lower), np.asarray(upper)
 
 
-@dataclass(frozen=True)
-class Replicate:
+def replicate(seed: int, names: Sequence[str], ranks: Int[np.ndarray, " k"], status: str) -> Row:
     """The truth's ranks among `DRAWS` draws, by parameter, and how the sampler says it ended."""
-
-    seed: int
-    ranks: Mapping[str, int]
-    status: str
+    return {"seed": seed, "ranks": dict(zip(names, map(int, ranks), strict=True)), "status": status}
 
 
-def stall_replicate(model: Model, observations: Observations, engine: str, seed: int) -> Replicate:
+def stall_replicate(model: Model, observations: Observations, engine: str, seed: int) -> Row:
     """Parameters and AR(1) noise drawn from their priors, coefficients simulated, inferred as a user would.
 
     `observations` lend their signals only.
@@ -105,13 +87,10 @@ def stall_replicate(model: Model, observations: Observations, engine: str, seed:
     density = Density(data, model, Noise(Colour.AR1))
     mode = search_modes(density, density_start(density, fit_mle(model, data, seed=seed)), data.n, seed=seed)
     posterior = ENGINES[engine](density, mode, seed=seed, predictive=False)
-    shuffled = rng.permutation(posterior.draws())
-    return Replicate(
-        seed, dict(zip(density.names, map(int, rank(x, shuffled)), strict=True)), posterior.status.name.lower()
-    )
+    return replicate(seed, density.names, rank(x, rng.permutation(posterior.draws())), posterior.status.name.lower())
 
 
-def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], seed: int) -> Replicate:
+def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], seed: int) -> Row:
     """Hyperparameters drawn from their priors, a sample function with noise, sampled by exact weights.
 
     `inputs` in deviations. Draws are those that exact weights resample.
@@ -124,13 +103,8 @@ def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], 
     best = find_map(data, priors, starts=4, polish=1, seed=seed)[0]
     found = sample_posterior(best, data, priors, budget=Budget(draws=400, seed=seed))
     own = rank(theta, rng.permutation(found.theta[systematic_resample(found.log_weight, seed)]))
-    return Replicate(seed, dict(zip(hyper_names(names), map(int, own), strict=True)), found.status.name)
-
-
-def hyper_names(input_names: tuple[str, ...]) -> list[str]:
-    """Flat names in the order of theta."""
-    linear, length = ([f"{kind}[{name}]" for name in input_names] for kind in ("linear", "length_scale"))
-    return ["constant", *linear, "signal", *length, "noise"]
+    linear, length = ([f"{kind}[{name}]" for name in names] for kind in ("linear", "length_scale"))
+    return replicate(seed, ["constant", *linear, "signal", *length, "noise"], own, found.status.name)
 
 
 def covariance(theta: Float[np.ndarray, " p"], x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n n"]:
@@ -144,43 +118,42 @@ def covariance(theta: Float[np.ndarray, " p"], x: Float[np.ndarray, "n d"]) -> F
     return K + noise**2 * np.eye(len(x))
 
 
-def calibration_table(replicates: Sequence[Replicate]) -> pd.DataFrame:
+def calibration_table(replicates: Sequence[Row]) -> pd.DataFrame:
     """A row per parameter: mean rank (0.5 wanted), share that 50 and 90 % intervals cover, inside the band or not."""
     rows = {}
-    for name in replicates[0].ranks:
-        ranks = np.array([r.ranks[name] for r in replicates])
+    for name in replicates[0]["ranks"]:
+        ranks = np.array([r["ranks"][name] for r in replicates])
         place = (ranks + 0.5) / (DRAWS + 1)
         rows[name] = {
             "replicates": len(ranks),
             "mean rank": place.mean(),
             "in 50 %": np.mean(np.abs(place - 0.5) <= 0.25),
             "in 90 %": np.mean(np.abs(place - 0.5) <= 0.45),
-            "inside band": band_of(list(map(int, ranks))).inside,
+            "inside band": band_of(ranks)[0],
         }
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
-def study(what: str) -> Callable[[int], dict]:
+def study(what: str) -> Callable[[int], Row]:
     """One replicate as a row, by its seed."""
     card = read_card("attas")
     model = Model.from_card(card)
     observations = observe([simulate_stall(i, card=card) for i in range(2)], card, model)
     if what != "gp":
         thinned = observations.thinned(EVERY)
-        return lambda seed: asdict(stall_replicate(model, thinned, what, seed))
+        return lambda seed: stall_replicate(model, thinned, what, seed)
     x = np.stack([np.asarray(observations.signals[name]) for name in INPUTS], axis=1)
     x = x[np.linspace(0, len(x) - 1, SAMPLES).astype(int)]
     x = (x - x.mean(axis=0)) / x.std(axis=0)
-    return lambda seed: asdict(process_replicate(x, INPUTS, seed))
+    return lambda seed: process_replicate(x, INPUTS, seed)
 
 
 def report(out: Path) -> None:
     """Tables of the replicates so far."""
     for what in STUDIES:
-        found = [Replicate(**row) for row in rows_of(out / f"{what}.jsonl")]
-        if not found:
+        if not (found := rows_of(out / f"{what}.jsonl")):
             continue
-        print(f"\n{what}: {len(found)} replicates; {dict(Counter(r.status for r in found))}")
+        print(f"\n{what}: {len(found)} replicates; {dict(Counter(r['status'] for r in found))}")
         table = calibration_table(found)
         print(table.to_string(float_format=lambda v: f"{v:.3f}"))
         outside = int((~table["inside band"].astype(bool)).sum())

@@ -10,7 +10,6 @@ Nothing is sampled: a chain turns the last digit of a sum into other draws.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import csv
 import gzip
 import io
@@ -28,6 +27,7 @@ from typing import Any
 os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "tests"))
 KEPT = HERE / "golden"
 SHARED = HERE.parents[1] / "shared"
 SAME = 1e-6  # relative; absolute below one
@@ -86,8 +86,6 @@ def six_axes(work: Path) -> list[str]:
     """Diagnosis of another simulator's aircraft in six degrees of freedom; its card lacks the roll by the rudder."""
     import numpy as np
     import pandas as pd
-
-    sys.path.insert(0, str(HERE.parent / "tests"))
     from six_axes import LATERAL, LONGITUDINAL, card_text, recorded
     from stranger_six import Plane, fly
 
@@ -103,17 +101,10 @@ def six_axes(work: Path) -> list[str]:
 
 def said(arguments: list[str]) -> tuple[int, str]:
     """Exit code and output of a command, in this process."""
-    from bayes_aero.cli import main
+    from calling import called
 
-    sys.argv = ["bayes-aero", *arguments]
-    text = io.StringIO()
-    code: Any = 0
-    with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text):
-        try:
-            main()
-        except SystemExit as ended:
-            code = ended.code
-    return int(code or 0), text.getvalue()
+    done = called(HERE.parent, *arguments)
+    return done.code, done.out + done.err
 
 
 def leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:

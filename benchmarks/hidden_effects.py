@@ -1,9 +1,10 @@
-"""Hide effects in simulated flights, diagnose, and count: silence, naming, pairs, unknowns, power.
+"""Hide effects in simulated flights, diagnose, and count: silence, naming, pairs, unknowns, changes, power.
 
     python benchmarks/hidden_effects.py silence 200 --out study     # nothing hidden
     python benchmarks/hidden_effects.py one 200 --out study         # one effect, its table and confusion matrix
     python benchmarks/hidden_effects.py two 100 --out study         # two effects
     python benchmarks/hidden_effects.py unknown 60 --out study      # effects of no catalogue
+    python benchmarks/hidden_effects.py change 20 --out study       # Cm0 or CLaM changes in the second manoeuvre
     python benchmarks/hidden_effects.py report --out study          # tables of everything found so far
     python benchmarks/hidden_effects.py effects --out study         # power by effect
     python benchmarks/hidden_effects.py one 60 --single --out alone # on a single manoeuvre
@@ -14,8 +15,6 @@ Every flight's finding is one line of OUT/<kind>.jsonl; a study that was interru
 
 from __future__ import annotations
 
-import sys
-import time
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
@@ -23,14 +22,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from studies import Row, parser_of, rows_of, run_seeds, standard_scores, without_accelerometers
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from out_of_catalogue import UNKNOWN
+import studies
+from out_of_catalogue import AT, UNKNOWN, changed
 from out_of_catalogue import unknown as of_no_catalogue
+from studies import CLEAR, Row, hidden, named, rows_of, share
 
-from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
@@ -39,8 +35,9 @@ from bayes_aero.simulate.injection import FLOWN_AXES, flyable, hidden_records
 
 NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
 PAIR, SINGLE = {"seconds": 90.0}, {"seconds": 100.0, "manoeuvres": 1}  # one length: one compilation serves all
-CLEAR = 6.0  # standard errors from which an effect must be named
+CHANGES = {"Cm0": (0.003, 0.012), "CLaM": (0.6, 2.0)}  # sizes, uniform in their logarithm, of either sign
 EDGES = (0.0, 2.0, 4.0, 6.0, 9.0, 15.0, np.inf)  # standard errors of the first screening
+KINDS = ("silence", "one", "two", "unknown", "change")
 
 
 def candidates() -> list[str]:
@@ -50,49 +47,35 @@ def candidates() -> list[str]:
     return [e.name for e in known if not {p.name for p in e.parameters} & base]
 
 
-def case(kind: str, seed: int, length: dict, trajectories: bool) -> dict:
+def case(kind: str, seed: int, length: dict, trajectories: bool) -> Row:
     """Draw, fly and diagnose one case."""
     rng = np.random.default_rng([seed, 99])
-    noise, unknown, effects = str(rng.choice(NOISES)), None, {}
+    noise, stray, effects = str(rng.choice(NOISES)), None, {}
+    flown = {"seed": seed, "noise": noise, **length}
     if kind == "silence":
-        records = hidden_records({}, seed=seed, noise=noise, **length)
+        records = hidden_records({}, **flown)
     elif kind == "unknown":
-        unknown = str(rng.choice(sorted(e.name for e in UNKNOWN)))
-        records = hidden_records({}, seed=seed, noise=noise, beyond=of_no_catalogue(unknown), **length)
+        stray = str(rng.choice(sorted(e.name for e in UNKNOWN)))
+        records = hidden_records({}, beyond=of_no_catalogue(stray), **flown)
+    elif kind == "change":
+        stray = str(rng.choice(sorted(CHANGES)))
+        size = float(np.exp(rng.uniform(*np.log(CHANGES[stray]))) * rng.choice([-1.0, 1.0]))
+        records, effects = changed(stray, size, **flown), {"change": {stray: size}}
     else:
         names = [str(x) for x in rng.choice(candidates(), 1 if kind == "one" else 2, replace=False)]
-        effects, flights = flyable(names, seed=seed, noise=noise, **length)
+        effects, flights = flyable(names, **flown)
         records = [flight.record for flight in flights]
-    began = time.perf_counter()
-    if trajectories:
-        found = diagnose([without_accelerometers(r) for r in records], read_card("attas"), seed=seed)
-    else:
-        found = diagnose(records, read_card("attas"), seed=seed, settings=DiagnosisSettings(gains=False))
+    records = [studies.without_accelerometers(r) for r in records] if trajectories else records
+    found, row = studies.diagnosed(records, read_card("attas"), seed, gains=trajectories)
     return {
-        "seed": seed,
-        "noise": noise,
-        "unknown": unknown,
-        "hidden": effects,
-        "verdict": found.verdict.value,
-        "causes": [
-            {
-                "name": c.name,
-                "probability": c.probability,
-                "ambiguous_with": c.ambiguous_with,
-                "parameters": {k: [v.mean, v.sd] for k, v in c.parameters.items()},
-            }
-            for c in found.causes
-        ],
-        "minor": found.minor,
-        "unexplained": [[u.coefficient, u.channel, u.share] for u in found.unknown],
-        "changes": [[c.parameter, c.manoeuvre, c.at, *c.size] for c in found.changes],
-        "scores": standard_scores(found, effects),
+        **{"seed": seed, "noise": noise, "unknown": stray, "hidden": effects, **row},
+        "changes": [[c.parameter, list(c.ambiguous_with), c.interval, c.size] for c in found.changes],
+        "scores": studies.standard_scores(found, {} if kind == "change" else effects),
         "not_testable": sorted(found.not_testable),
-        "seconds": time.perf_counter() - began,
     }
 
 
-def case_or_refusal(kind: str, seed: int, length: dict, trajectories: bool) -> dict:
+def case_or_refusal(kind: str, seed: int, length: dict, trajectories: bool) -> Row:
     """An aircraft that cannot be flown so is counted, not hidden."""
     try:
         return case(kind, seed, length, trajectories)
@@ -100,102 +83,75 @@ def case_or_refusal(kind: str, seed: int, length: dict, trajectories: bool) -> d
         return {"seed": seed, "refused": str(error)}
 
 
-def _share(hits: int, of: int) -> str:
-    return f"{hits}/{of} = {hits / of:.1%}" if of else "0/0"
-
-
-def alarmed(row: dict) -> bool:
-    """Whether anything is named or left unexplained, even where the verdict does not rest on it."""
-    return row["verdict"] != "no_effect" or bool(row["causes"])
-
-
 def report(out: Path) -> None:
     """Print the tables."""
-    rows = {kind: rows_of(out / f"{kind}.jsonl") for kind in ("silence", "one", "two", "unknown")}
-    refused = {kind: sum("refused" in r for r in rs) for kind, rs in rows.items()}
+    rows = {kind: rows_of(out / f"{kind}.jsonl") for kind in KINDS}
+    print("refused as unflyable:", {kind: sum("refused" in r for r in rs) for kind, rs in rows.items()})
     rows = {kind: [r for r in rs if "refused" not in r] for kind, rs in rows.items()}
-    print("refused as unflyable:", refused)
     silence = rows["silence"]
-    for noise in ("white", "ar1", "buffet", "outliers"):
+    for noise in dict.fromkeys(NOISES):
         here = [r for r in silence if r["noise"] == noise]
-        print(f"silence, {noise}: false alarms {_share(sum(alarmed(r) for r in here), len(here))}")
-    print("silence, all: false alarms", _share(sum(alarmed(r) for r in silence), len(silence)))
-    print("  named falsely:", Counter(c["name"] for r in silence for c in r["causes"]).most_common())
+        print(f"silence, {noise}: false alarms {share(not studies.quiet(r) for r in here)}")
+    print(f"silence, all: false alarms {share(not studies.quiet(r) for r in silence)}, "
+          f"a change claimed {share(r['changes'] for r in silence)}")  # fmt: skip
+    print("  named falsely:", Counter(name for r in silence for name in r["causes"]).most_common())
     if rows["one"]:
         _naming(rows["one"])
     two = [r for r in rows["two"] if len(r["scores"]) == 2 and min(r["scores"].values()) >= CLEAR]
-    both = sum(all(named(r, name) for name in r["hidden"]) for r in two)
-    print(f"two effects, both >= {CLEAR:g} standard errors: both named {_share(both, len(two))}")
-    unknown = rows["unknown"]
-    for stray in sorted({r["unknown"] for r in unknown}):
-        here = [r for r in unknown if r["unknown"] == stray]
-        print(
-            f"unknown {stray}: unexplained {_share(sum(bool(r['unexplained']) for r in here), len(here))}, "
-            f"misnamed {_share(sum(bool(r['causes']) for r in here), len(here))}, channels "
-            f"{Counter(u[0] + ' ' + u[1].split(',')[0] for r in here for u in r['unexplained'][:1]).most_common(4)}"
-        )
+    both = share(all(named(r, name) for name in r["hidden"]) for r in two)
+    print(f"two effects, both >= {CLEAR:g} standard errors: both named {both}")
+    for stray in sorted({r["unknown"] for r in rows["unknown"]}):
+        here = [r for r in rows["unknown"] if r["unknown"] == stray]
+        channels = Counter(u[0] + " " + u[1].split(",")[0] for r in here for u in r["unexplained"][:1])
+        print(f"unknown {stray}: unexplained {share(r['unexplained'] for r in here)}, "
+              f"misnamed {share(r['causes'] for r in here)}, channels {channels.most_common(4)}")  # fmt: skip
+    _changes(rows["change"])
     every = [r["seconds"] for rs in rows.values() for r in rs]
     print(f"seconds a diagnosis: median {np.median(every):.1f}, 95 % below {np.quantile(every, 0.95):.1f}")
 
 
-def named_first(row: dict) -> bool:
+def named_first(row: Row) -> bool:
     """Whether the hidden effect is the first cause, or in its ambiguity set."""
-    first = row["causes"][0] if row["causes"] else None
-    return first is not None and (first["name"] == hidden(row) or hidden(row) in first["ambiguous_with"])
+    first = next(iter(row["causes"]), None)
+    return first is not None and hidden(row) in (first, *row["ambiguous"][first])
 
 
-def inside(row: dict) -> bool | None:
-    """Whether the 95 % intervals of the hidden effect hold its sizes; None where it is no cause."""
-    name = hidden(row)
-    for cause in row["causes"]:
-        if cause["name"] == name:
-            found = [(*cause["parameters"][p], value) for p, value in row["hidden"][name].items()]
-            return all(abs(mean - value) <= 1.96 * sd for mean, sd, value in found)
-    return None
-
-
-def _naming(rows: list[dict]) -> None:
+def _naming(rows: list[Row]) -> None:
     clear = [r for r in rows if size(r) >= CLEAR]
-    first = alone = 0
-    missed: Counter[tuple[str, str]] = Counter()
-    for r in clear:
-        name, right = hidden(r), named_first(r)
-        leader = r["causes"][0] if r["causes"] else None
-        first += right
-        alone += (
-            leader is not None and leader["name"] == name and len(r["causes"]) == 1 and not leader["ambiguous_with"]
-        )
-        if not right:
-            missed[(name, leader["name"] if leader else "nothing" + (" (minor)" if name in r["minor"] else ""))] += 1
-    held = [x for x in map(inside, clear) if x is not None]
-    print(f"one effect >= {CLEAR:g} standard errors: first or in the ambiguity set {_share(first, len(clear))}, "
-          f"alone and first {_share(alone, len(clear))}, interval covers {_share(sum(held), len(held))}")  # fmt: skip
+    first = share(map(named_first, clear))
+    alone = share(list(r["causes"]) == [hidden(r)] and not r["ambiguous"][hidden(r)] for r in clear)
+    print(f"one effect >= {CLEAR:g} standard errors: first or in the ambiguity set {first}, alone and first {alone}")
+    studies.print_sizes(clear)
+    missed = Counter(
+        (name, next(iter(r["causes"]), "nothing" + (" (minor)" if name in r["minor"] else "")))
+        for r, name in ((r, hidden(r)) for r in clear)
+        if not named_first(r)
+    )
     print("  confused (true, named):", missed.most_common())
     for head, classes in zip(heads(), zip(*power(rows).values(), strict=True), strict=True):
         hits, of = (sum(counts) for counts in zip(*classes, strict=True))
-        print(f"  power, {head} standard errors: named {_share(hits, of)}")
+        print(f"  power, {head} standard errors: named {hits} of {of}")
 
 
-def named(row: Row, name: str) -> bool:
-    """Whether an effect is a cause, or stands in one's ambiguity set."""
-    return any(c["name"] == name or name in c["ambiguous_with"] for c in row["causes"])
-
-
-def hidden(row: Row) -> str:
-    """The one effect that a record hides."""
-    (name,) = row["hidden"]
-    return name
+def _changes(rows: list[Row]) -> None:
+    """Whether the parameter that changed is the first change found, or one of its rivals; its time and its size."""
+    first = [(r["changes"][0], *r["hidden"]["change"].items()) for r in rows if r["changes"]]
+    exact = [(interval, found, size) for (name, _, interval, found), (true, size) in first if name == true]
+    among = sum(true in (name, *rivals) for (name, rivals, *_), (true, _) in first)
+    print(f"a change: claimed {len(first)} of {len(rows)}, first or a rival of the first {among}, "
+          f"first {len(exact)}: time held {share(low <= AT <= high for (low, high), *_ in exact)}, "
+          f"size {share(abs(mean - size) < 1.96 * sd for _, (mean, sd), size in exact)}")  # fmt: skip
 
 
 def size(row: Row) -> float:
-    """Its size in standard errors."""
-    return max(row["scores"].values(), default=0.0)
+    """Of the hidden effect, in standard errors of the first screening; 0 where it stood in none."""
+    return row["scores"].get(hidden(row), 0.0)
 
 
 def power(rows: Sequence[Row]) -> dict[str, list[tuple[int, int]]]:
     """By effect: named and all in every class of size."""
     table = {}
-    for name in sorted({hidden(r) for r in rows}):
+    for name in sorted({str(hidden(r)) for r in rows}):
         own = [r for r in rows if hidden(r) == name]
         classes = [[r for r in own if low <= size(r) < high] for low, high in pairwise(EDGES)]
         table[name] = [(sum(named(r, name) for r in here), len(here)) for here in classes]
@@ -217,20 +173,19 @@ def print_power(rows: Sequence[Row]) -> None:
 
 
 def main() -> None:
-    """Run a study, or report on what is there."""
-    kinds = ("silence", "one", "two", "unknown", "report", "effects")
-    parser = parser_of(__doc__, "study", kinds, first=1000, count=200)
+    """Run a study, and report on what is there."""
+    parser = studies.parser_of(__doc__, "study", (*KINDS, "report", "effects"), first=1000, count=200)
     parser.add_argument("--single", action="store_true", help="one manoeuvre of 100 s instead of two of 90 s")
     parser.add_argument("--trajectories", action="store_true", help="without accelerometers, by simulated trajectories")
     given = parser.parse_args()
-    if given.what == "report":
-        report(given.out)
-    elif given.what == "effects":
+    if given.what == "effects":
         print_power([r for r in rows_of(given.out / "one.jsonl") if "refused" not in r])
-    else:
+        return
+    if given.what in KINDS:
         length = SINGLE if given.single else PAIR
         one = partial(case_or_refusal, given.what, length=length, trajectories=given.trajectories)
-        run_seeds(given, f"{given.what}.jsonl", one, one_length=True)
+        studies.run_seeds(given, f"{given.what}.jsonl", one, one_length=True)
+    report(given.out)
 
 
 if __name__ == "__main__":

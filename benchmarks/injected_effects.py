@@ -3,29 +3,25 @@
     python benchmarks/injected_effects.py RECORD RECORD [--draws 1] [--seed 0]
 
 Each effect of `INJECTED` at a random size within its range, either sign. `errors` is what the records then hold of it
-(what was named before, and the injected one) in standard errors of its first election: could they show it at all?
+(what was named before, and the injected one) in standard errors of its first screening: could they show it at all?
 Found: named with a size that moved by the injected one, against the diagnosis of the records as they are; or no longer
 named, where the injected one cancels it.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from studies import standard_scores
+from studies import CLEAR, diagnosed, plain_parser, records_of, share, standard_scores
 
-from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.selection_state import DERIVED, DiagnosisSettings
+from bayes_aero.diagnosis.selection_state import DERIVED
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import Card, read_card
-from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
@@ -46,7 +42,6 @@ INJECTED = {  # parameter and range of the size's absolute value, SI
     "thrust_moment": ("thrust_arm", 0.5, 1.0),
     "thrust_scale": ("thrust_scale", 0.1, 0.3),
 }
-CLEAR = 6.0  # standard errors from which an effect must be named
 
 
 def sizes_of(found) -> dict[str, tuple[float, float]]:
@@ -56,49 +51,37 @@ def sizes_of(found) -> dict[str, tuple[float, float]]:
 
 def main() -> None:
     """Print a row for each injection."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("records", nargs="+", type=Path)
+    parser = plain_parser(__doc__)
     parser.add_argument("--only", nargs="+", choices=sorted(INJECTED), default=list(INJECTED))
     parser.add_argument("--draws", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    card = read_card("attas")
-    records = [read_record(path, card.channels) for path in given.records]
-    plain = diagnose(records, card, seed=given.seed, settings=DiagnosisSettings(gains=False))
+    given, card, records = records_of(parser)
+    plain = diagnosed(records, card, given.seed)[0]
     before = sizes_of(plain)
     Cmde = plain.base_moves["Cmde"][1]  # of the extended model, in which a moment has to be held
     print(f"elevator effectiveness of the extended model {Cmde:.3f} 1/rad")
     rng = np.random.default_rng(given.seed)
-    named = near = total = clear = clearly = 0
+    rows = []
     print(f"{'effect':17s} {'injected':>9s} {'errors':>6s} {'moved':>9s}  named")
-    for _ in range(given.draws):
-        for name in given.only:
-            parameter, least, most = INJECTED[name]
-            size = float(rng.choice([-1.0, 1.0]) * rng.uniform(least, most))
-            hidden = {name: {parameter: size}}
-            found = diagnose(
-                injected(records, hidden, card, Cmde=Cmde),
-                card,
-                seed=given.seed,
-                settings=DiagnosisSettings(gains=False),
-            )
-            after = sizes_of(found)
-            old, new = before.get(parameter, (0.0, 0.0)), after.get(parameter)
-            also = [c.name for c in found.causes if name in c.ambiguous_with]
-            wanted = size * (1.0 + old[0]) if parameter.endswith("_scale") else size  # scale factors multiply
-            errors = standard_scores(found, {name: {parameter: old[0] + wanted}}).get(name, 0.0)
-            least = CATALOGUE[name].sizes[parameter][0]
-            cancels = new is None and abs(old[0] + wanted) < least  # what was there before is gone, and rightly unnamed
-            by = "itself" if new else "cancelled" if cancels else f"within {also[0]}" if also else "no"
-            moved = new[0] - old[0] if new else -old[0] if cancels else float("nan")
-            named, total = named + (by != "no"), total + 1
-            clear, clearly = clear + (errors >= CLEAR), clearly + (errors >= CLEAR and by != "no")
-            allowed = least if cancels else 1.96 * np.hypot(old[1], new[1] if new else 0.0) + 0.1 * abs(size)
-            near += bool(abs(moved - wanted) < allowed)
-            print(f"{name:17s} {size:9.4g} {errors:6.1f} {moved:9.4g}  {by}", flush=True)
-    print(f"of at least {CLEAR:g} standard errors: named, in an ambiguity set, or cancelled {clearly} of {clear}")
-    print(f"all: named, in an ambiguity set, or cancelled {named} of {total}; moved by the injected size "
-          f"(within the intervals and a tenth) {near} of {total}")  # fmt: skip
+    for name in given.draws * given.only:
+        parameter, least, most = INJECTED[name]
+        size = float(rng.choice([-1.0, 1.0]) * rng.uniform(least, most))
+        found = diagnosed(injected(records, {name: {parameter: size}}, card, Cmde=Cmde), card, given.seed)[0]
+        old, new = before.get(parameter, (0.0, 0.0)), sizes_of(found).get(parameter)
+        also = [c.name for c in found.causes if name in c.ambiguous_with]
+        wanted = size * (1.0 + old[0]) if parameter.endswith("_scale") else size  # scale factors multiply
+        errors = standard_scores(found, {name: {parameter: old[0] + wanted}}).get(name, 0.0)
+        least = CATALOGUE[name].sizes[parameter][0]
+        cancels = new is None and abs(old[0] + wanted) < least  # what was there before is gone, and rightly unnamed
+        by = "itself" if new else "cancelled" if cancels else f"within {also[0]}" if also else "no"
+        moved = new[0] - old[0] if new else -old[0] if cancels else float("nan")
+        allowed = least if cancels else 1.96 * np.hypot(old[1], new[1] if new else 0.0) + 0.1 * abs(size)
+        rows.append((by != "no", errors >= CLEAR, bool(abs(moved - wanted) < allowed)))
+        print(f"{name:17s} {size:9.4g} {errors:6.1f} {moved:9.4g}  {by}", flush=True)
+    clear = share(named for named, clear, _ in rows if clear)
+    print(f"of at least {CLEAR:g} standard errors: named, in an ambiguity set, or cancelled {clear}")
+    print(f"all: named, in an ambiguity set, or cancelled {share(row[0] for row in rows)}; moved by the injected size "
+          f"(within the intervals and a tenth) {share(row[2] for row in rows)}")  # fmt: skip
 
 
 POSSIBLE = "only sensors, thrust and moments can be injected into a record"

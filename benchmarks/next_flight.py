@@ -20,6 +20,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 from calibration import band_of, rank
+from studies import print_inside
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.mle import fit_mle
@@ -72,9 +73,9 @@ def ranks(replicates: int, manoeuvres: int) -> None:
     print(f"{manoeuvres} manoeuvres, {replicates} replicates of {len(NAMES)} parameters: ", end="")
     print(f"{time.perf_counter() - began:.0f} s, {unsure} not converged")
     for what, one in found.items():
-        bands = [band_of([int(r[i]) for r in one]) for i in range(len(NAMES))]
-        said = ", ".join("inside" if band.inside else "OUTSIDE" for band in bands)
-        print(f"  ranks of {what}: {said} (largest difference {max(np.abs(b.difference).max() for b in bands):.3f})")
+        bands = [band_of(each) for each in np.transpose(one)]
+        said = ", ".join("inside" if inside else "OUTSIDE" for inside, _ in bands)
+        print(f"  ranks of {what}: {said} (largest difference {max(largest for _, largest in bands):.3f})")
     shares = ", ".join(f"{w:.0%}: {n / total:.1%}" for w, n in zip(WIDTHS, inside, strict=True))
     print(f"  next flight inside its intervals: {shares} of {total}")
     print(f"  standard deviation of the scatter over its prior's, median: {np.median(narrowed):.2f}", flush=True)
@@ -122,9 +123,8 @@ def fly_again(aircraft: int, manoeuvres: int) -> None:
         ("next stall in the interval of one value for all", jointly),
         ("true aircraft in its interval", truly),
     ):
-        each = np.mean(one, axis=0)
-        worst = model.names[int(np.argmin(each))]
-        print(f"  {what}: {np.mean(one):.1%} (least {each.min():.0%}, {worst})")
+        print(what)
+        print_inside(model.names, np.array(one))
 
 
 def main() -> None:

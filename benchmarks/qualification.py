@@ -154,11 +154,8 @@ def main() -> None:
     parser.add_argument("--manoeuvres", type=int, default=3)
     parser.add_argument("--first", type=int, default=0, help="seed of the first aircraft")
     given = parser.parse_args()
-    found = [
-        (seed, *one)
-        for seed in range(given.first, given.first + given.aircraft)
-        for one in aircraft(seed, given.manoeuvres)
-    ]
+    seeds = range(given.first, given.first + given.aircraft)
+    found = [(seed, *one) for seed in seeds for one in aircraft(seed, given.manoeuvres)]
     print("| case | stated | tests | mean stated | passed |\n|---|---|---|---|---|")
     for case in ("again", "left out", "next flight"):
         for low, high in (*RANGES, (0.0, 1.0)):

@@ -16,7 +16,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,9 +51,7 @@ def samples(n: int) -> dict[str, float]:
         record = long_record(n)
         write_record(record, path, [c for c in card.channels if record.has(c.name)])
         times["MB"] = path.stat().st_size / 1e6
-        clock = Clock(times)
-        record = read_record(path, card.channels)
-        clock("read")
+        record = timed(times, "read", lambda: read_record(path, card.channels))
     return fitted([record], times)
 
 
@@ -74,25 +74,20 @@ def fitted(records: list, times: dict[str, float]) -> dict[str, float]:
     from bayes_aero.model.model import Model
     from bayes_aero.model.observations import observe
 
-    card, clock = read_card("attas"), Clock(times)
+    card = read_card("attas")
     model = Model.from_card(card)
-    observations = observe(records, card, model)
-    clock("observe")
+    observations = timed(times, "observe", lambda: observe(records, card, model))
     for name in ("mle", "again"):
-        fit_mle(model, observations, extra_starts=0)
-        clock(name)
+        timed(times, name, lambda: fit_mle(model, observations, extra_starts=0))
     return times
 
 
-class Clock:
-    """Seconds of processor time between calls, of all threads: other work on the machine counts little."""
-
-    def __init__(self, into: dict[str, float]) -> None:
-        self.into, self.last = into, time.process_time()
-
-    def __call__(self, name: str) -> None:
-        now = time.process_time()
-        self.into[name], self.last = now - self.last, now
+def timed(times: dict[str, float], name: str, do: Callable[[], Any]) -> Any:
+    """Its result; its processor time of all threads into `times`: other work on the machine counts little."""
+    began = time.process_time()
+    found = do()
+    times[name] = time.process_time() - began
+    return found
 
 
 KINDS = {"samples": (samples, SAMPLES), "manoeuvres": (manoeuvres, MANOEUVRES)}

@@ -5,26 +5,17 @@ python benchmarks/sensitivity.py [RECORD ...] [--model CARD]
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
+from studies import plain_parser, records_of
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.sampling import density_start, find_mode, prior_sensitivity, sample_ensemble
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Colour, Density, Noise, observe
-from bayes_aero.simulate.demo import demo_records
 
 
 def main() -> None:
     """Print the power-scaling of every parameter."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("records", type=Path, nargs="*")
-    parser.add_argument("--model", default="attas")
-    given = parser.parse_args()
-    card = read_card(given.model)
-    records = read_records(given.records, card.channels) if given.records else demo_records()
+    _, card, records = records_of(plain_parser(__doc__), least=0)
     model = Model.from_card(card)
     observations = observe(records, card, model)
     mle = fit_mle(model, observations)

@@ -33,6 +33,7 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join, observe
+from bayes_aero.model.records import Forming
 from bayes_aero.simulate.demo import TRUTH, Request, simulate_stall
 from bayes_aero.simulate.injection import synthetic
 
@@ -137,7 +138,7 @@ def fits(book: Path | None) -> None:
         card = read_card("full_six")
         records = [read_record(book / f"fAttas{name}.mat", card.channels) for name in ("Elv1", "Ail1", "Rud1")]
         model = Model.from_card(card)
-        made = observe(records, card, model, "published")
+        made = observe(records, card, model, Forming.PUBLISHED)
         runs["maximum likelihood, TC23"] = lambda: fit_mle(model, made, extra_starts=0)
     compare(runs)
 

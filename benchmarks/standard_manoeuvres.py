@@ -13,15 +13,14 @@ effect is then named without a rival. `unlike`: two or three unlike manoeuvres, 
 
 from __future__ import annotations
 
-import time
+from collections import Counter
 from typing import Any
 
 import numpy as np
+import studies
 from hidden_effects import candidates
-from studies import parser_of, run_seeds, told
+from studies import Row, hidden, share
 
-from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -50,19 +49,25 @@ def flown(effects: dict, seed: int, name: str, **asked: Any) -> FlightRecord:
     return synthetic(Request(effects, seed=seed, **asked), CARD, CATALOGUE, name=name).record
 
 
-def case(seed: int) -> dict:
+def all_flown(row: Row, kinds: list[str]) -> list[FlightRecord]:
+    """The manoeuvres with what the row hides; none, and why in the row, where one cannot be flown."""
+    try:
+        return [flown(row["hidden"], 100 * row["seed"] + k, kind, manoeuvre=kind) for k, kind in enumerate(kinds)]
+    except InputError as error:
+        row["refused"] = str(error)
+        return []
+
+
+def case(seed: int) -> Row:
     """Draw, fly, diagnose; and once more with the test points, if there are any."""
     rng = np.random.default_rng([seed, 71])
     name = str(rng.choice(open_to_rivals()))
     effects, kinds = {name: draw_hidden(rng, name)}, FIRST[int(rng.integers(len(FIRST)))]
-    row: dict[str, Any] = {"seed": seed, "hidden": effects, "first": list(kinds)}
-    try:
-        records = [flown(effects, 100 * seed + k, kind, manoeuvre=kind) for k, kind in enumerate(kinds)]
-    except InputError as error:
-        return row | {"refused": str(error)}
-    began = time.perf_counter()
-    found = diagnose(records, CARD, seed=seed, settings=DiagnosisSettings(gains=False, process_noise=False))
-    row |= {"before": told(found, began), "points": proposed_points(found, CARD.envelope)}
+    row: Row = {"seed": seed, "hidden": effects, "first": list(kinds)}
+    if not (records := all_flown(row, list(kinds))):
+        return row
+    found, before = studies.diagnosed(records, CARD, seed, process_noise=False)
+    row |= {"before": before, "points": proposed_points(found, CARD.envelope)}
     if row["points"].get("points"):
         for k, p in enumerate(row["points"]["points"]):
             asked = {key: p[key] for key in ("manoeuvre", "amplitude", "airspeed", "altitude")}
@@ -70,82 +75,69 @@ def case(seed: int) -> dict:
                 records.append(flown(effects, 100 * seed + 50 + k, f"point {k + 1}", duration=p["seconds"], **asked))
             except InputError as error:
                 row.setdefault("not_flown", []).append(str(error))
-        row["after"] = told(
-            diagnose(records, CARD, seed=seed, settings=DiagnosisSettings(gains=False, process_noise=False)), began
-        )
+        row["after"] = studies.diagnosed(records, CARD, seed, process_noise=False)[1]
     return row
 
 
-def outcome(row: dict) -> str:
+def outcome(row: Row) -> str:
     """`decided`, `wrong`, `open` or `gone` after the test points."""
-    (hidden,), after = row["hidden"], row["after"]
-    if hidden in after["causes"]:
-        rivals = after["ambiguous"][hidden] or any(hidden in pair for pair in after["together"])
-        return "open" if rivals or any(hidden in one for one in after["absorbed"]) else "decided"
-    if any(hidden in others for others in after["ambiguous"].values()):
+    name, after = hidden(row), row["after"]
+    if name in after["causes"]:
+        rivals = after["ambiguous"][name] or any(name in pair for pair in after["together"])
+        return "open" if rivals or any(name in members for members in after["absorbed"]) else "decided"
+    if studies.named(after, name):
         return "open"
     return "wrong" if after["causes"] else "gone"
 
 
-def report(rows: list[dict]) -> None:
+def report(rows: list[Row]) -> None:
     """How many were open at first, and what became of them."""
     tried = [r for r in rows if "refused" not in r]
     asked = [r for r in tried if r["points"]]
-    among = [r for r in asked if next(iter(r["hidden"])) in {e for q in r["points"]["questions"] for e in q["effects"]}]
+    among = [r for r in asked if any(hidden(r) in q["effects"] for q in r["points"]["questions"])]
     flown_again = [r for r in among if "after" in r]
     print(f"{len(tried)} flights; open {len(asked)}, the hidden effect among the rivals in {len(among)}")
     print(f"no test point decides more: {len(among) - len(flown_again)}")
     for decided in (True, False):
-        own = [r for r in flown_again if _expected(r) == decided]
-        counts = {what: sum(outcome(r) == what for r in own) for what in ("decided", "open", "wrong", "gone")}
-        print("expected to be decided:" if decided else "expected to stay open:", len(own), counts)
+        counts = Counter(outcome(r) for r in flown_again if _expected(r) == decided)
+        print("expected to be decided:" if decided else "expected to stay open:", counts.total(), dict(counts))
 
 
-def _expected(row: dict) -> bool:
+def _expected(row: Row) -> bool:
     """Whether the question that has the hidden effect was expected to be decided."""
-    (hidden,), last = row["hidden"], row["points"]["points"][-1]["standard_errors"]
-    own = [k for k, q in enumerate(row["points"]["questions"]) if hidden in q["effects"]]
-    return all(last[k] >= row["points"]["questions"][k]["enough"] for k in own)
+    last = row["points"]["points"][-1]["standard_errors"]
+    questions = zip(row["points"]["questions"], last, strict=True)
+    return all(error >= q["enough"] for q, error in questions if hidden(row) in q["effects"])
 
 
-def unlike(seed: int, silent: bool) -> dict:
+def unlike(seed: int, silent: bool) -> Row:
     """Draw, fly and diagnose."""
     rng = np.random.default_rng([seed, 83])
     kinds = [str(k) for k in rng.choice(UNLIKE, int(rng.integers(2, 4)), replace=False)]
     name = str(rng.choice(open_to_rivals()))
-    effects = {} if silent else {name: draw_hidden(rng, name)}
-    row = {"seed": seed, "hidden": effects, "kinds": kinds}
-    try:
-        records = [flown(effects, 100 * seed + k, kind, manoeuvre=kind) for k, kind in enumerate(kinds)]
-    except InputError as error:
-        return row | {"refused": str(error)}
-    began = time.perf_counter()
-    return row | told(
-        diagnose(records, CARD, seed=seed, settings=DiagnosisSettings(gains=False, process_noise=False)), began
-    )
+    row: Row = {"seed": seed, "hidden": {} if silent else {name: draw_hidden(rng, name)}, "kinds": kinds}
+    records = all_flown(row, kinds)
+    return row | (studies.diagnosed(records, CARD, seed, process_noise=False)[1] if records else {})
 
 
-def report_unlike(rows: list[dict], silent: bool) -> None:
+def report_unlike(rows: list[Row]) -> None:
     """Counts."""
     tried = [r for r in rows if "refused" not in r]
-    if silent:
-        quiet = sum(not r["causes"] and not r["unexplained"] for r in tried)
-        print(f"nothing hidden: no finding in {quiet} of {len(tried)}")
-    else:
-        first = [r for r in tried if next(iter(r["causes"]), None) in r["hidden"]]
-        named = [r for r in tried if set(r["hidden"]) & set(r["causes"])]
-        sets = [r for r in tried if any(set(r["hidden"]) & set(x) for x in r["ambiguous"].values())]
-        false = [r for r in tried if r["causes"] and r not in named and r not in sets]
-        print(f"{len(tried)} flights: named {len(named)}, first {len(first)}, among the rivals of a cause {len(sets)}")
-        print(f"only another cause {len(false)}; unexplained {sum(bool(r['unexplained']) for r in tried)}")
+    studies.print_silent([r for r in tried if not r["hidden"]])
+    some = [r for r in tried if r["hidden"]]
+    among = [studies.named(r, hidden(r)) for r in some]
+    false = share(r["causes"] and not right for r, right in zip(some, among, strict=True))
+    print(f"one effect: named {share(hidden(r) in r['causes'] for r in some)}, first "
+          f"{share(map(studies.named_first, some))}, named or a rival {share(among)}, "
+          f"only another cause {false}, unexplained {share(r['unexplained'] for r in some)}")  # fmt: skip
 
 
 if __name__ == "__main__":
-    parser = parser_of(__doc__, "standard", ("points", "unlike"))
+    parser = studies.parser_of(__doc__, "standard", ("points", "unlike"))
     parser.add_argument("--silent", action="store_true")
     given = parser.parse_args()
     if given.what == "points":
-        report(run_seeds(given, "points.jsonl", case))
+        report(studies.run_seeds(given, "points.jsonl", case))
     else:
         name = "silent.jsonl" if given.silent else "hidden.jsonl"
-        report_unlike(run_seeds(given, name, unlike, silent=given.silent), given.silent)
+        report_unlike(studies.run_seeds(given, name, unlike, silent=given.silent))

@@ -14,26 +14,19 @@ One line of OUT/terms.jsonl each; goes on where it stopped.
 
 from __future__ import annotations
 
-import sys
-import time
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from studies import parser_of, print_sizes, run_seeds, without_accelerometers
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+import studies
 from gusty_flight import CHORD, TRUTH, V0, gusty_flight
 from gusty_flight import Beyond as Added
+from studies import Row, share
 
 from bayes_aero.diagnosis.components import columns_of
-from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening import autocorrelation_of, block_jackknife_covariance, uncertainty
-from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
@@ -47,17 +40,21 @@ KNOWN = {("Cm", "alpha^2")}  # that the catalogue has
 CLEAR = 8.0  # standard errors from which a form must be found
 
 
-def _increments(v, s, a, known):
+def _added(v, factors, X, numpy):
     """size (1 - X)^separated alpha^i qhat^j elevator^k CT^l, or of a break, or of a bump."""
+    x = v["unlisted_product"] * (1.0 - v["unlisted_separated"] * X)
+    for factor, power in zip(factors, POWERS, strict=True):
+        x = x * numpy.power(factor, v[power])
+    beyond = factors[0] - v["unlisted_at"]
+    x = x + v["unlisted_break"] * numpy.maximum(beyond, 0.0)
+    x = x + v["unlisted_bump"] * numpy.exp(-0.5 * (beyond / 0.03) ** 2)
+    return {name: x * v[f"unlisted_{name}"] for name in COEFFICIENTS}
+
+
+def _increments(v, s, a, known):
     pressure = 0.5 * s["density"] * s["airspeed"] ** 2
     factors = s["alpha"], s["q"] * a.chord / s["airspeed"], s["elevator"], s["thrust"] / (pressure * a.wing_area)
-    x = v["unlisted_product"] * (1.0 - v["unlisted_separated"] * known["X"])
-    for factor, power in zip(factors, POWERS, strict=True):
-        x = x * jnp.power(factor, v[power])
-    beyond = s["alpha"] - v["unlisted_at"]
-    x = x + v["unlisted_break"] * jnp.maximum(beyond, 0.0)
-    x = x + v["unlisted_bump"] * jnp.exp(-0.5 * (beyond / 0.03) ** 2)
-    return {name: x * v[f"unlisted_{name}"] for name in COEFFICIENTS}
+    return _added(v, factors, known["X"], jnp)
 
 
 _OWN = (
@@ -99,20 +96,12 @@ def draw(rng: np.random.Generator) -> Drawn:
 
 
 def added(values: dict[str, float]) -> Added:
-    """What a term of `UNLISTED` without separation or thrust adds to CL, CD and Cm, by plain arithmetic; the rate is
-    q c/(2 V0), as on the card of the HFB 320."""
+    """What a term of `UNLISTED` without separation or thrust adds to CL, CD and Cm; the rate is q c/(2 V0), as
+    on the card of the HFB 320."""
     v = dict.fromkeys(_OWN, 0.0) | values
-
-    def beyond(_V: float, alpha: float, q: float, elevator: float, _: float) -> tuple[float, float, float]:
-        x = v["unlisted_product"]
-        for factor, power in zip((alpha, q * CHORD / (2.0 * V0), elevator), POWERS, strict=False):
-            x = x * factor ** v[power]
-        x += v["unlisted_break"] * max(alpha - v["unlisted_at"], 0.0)
-        x += v["unlisted_bump"] * np.exp(-0.5 * ((alpha - v["unlisted_at"]) / 0.03) ** 2)
-        CL, CD, Cm = (x * v[f"unlisted_{name}"] for name in COEFFICIENTS)
-        return CL, CD, Cm
-
-    return beyond
+    return lambda _V, alpha, q, elevator, _: tuple(
+        map(float, _added(v, (alpha, q * CHORD / (2.0 * V0), elevator, 1.0), 1.0, np).values())
+    )
 
 
 def in_gusts(seed: int, silent: bool, gusts: float) -> tuple[Drawn, list[FlightRecord]]:
@@ -138,33 +127,19 @@ def in_stalls(seed: int, silent: bool) -> tuple[Drawn, str, list[FlightRecord]]:
     return drawn, noise, hidden_records({}, seed=seed, noise=noise, seconds=90.0, beyond=beyond)
 
 
-def case(seed: int, silent: bool, without: bool, gusts: float) -> dict[str, Any]:
+def case(seed: int, silent: bool, without: bool, gusts: float) -> Row:
     """Draw, fly and diagnose; `without` accelerometers, or in `gusts`."""
     if gusts > 0.0:
-        noise, (hidden, records) = "gusts", in_gusts(seed, silent, gusts)
+        noise, (term, records) = "gusts", in_gusts(seed, silent, gusts)
+        found, row = studies.diagnosed(records, read_card("hfb320"), seed, process_noise=True)
     else:
-        hidden, noise, records = in_stalls(seed, silent)
-    records = [without_accelerometers(r) for r in records] if without else records
-    began = time.perf_counter()
-    if gusts > 0.0:
-        found = diagnose(
-            records, read_card("hfb320"), seed=seed, settings=DiagnosisSettings(process_noise=True, gains=False)
-        )
-    else:
-        found = diagnose(records, read_card("attas"), seed=seed)
-    hidden = None if silent else hidden
-    return {
-        "seed": seed,
-        "noise": noise,
-        "hidden": None if hidden is None else list(hidden[:2]),
-        "size": None if hidden is None else hidden[2].get("unlisted_product"),
-        "score": None if hidden is None else score(found, *hidden),
-        "verdict": found.verdict.value,
-        "causes": [c.name for c in found.causes],
-        "unexplained": [[u.coefficient, u.channel, u.share, u.p_value, list(u.rivals)] for u in found.unknown],
-        "terms": [[t.coefficient, t.term.name, *t.size, [o.name for o, _ in t.others]] for t in found.terms],
-        "seconds": time.perf_counter() - began,
-    }
+        term, noise, records = in_stalls(seed, silent)
+        records = [studies.without_accelerometers(r) for r in records] if without else records
+        found, row = studies.diagnosed(records, read_card("attas"), seed, gains=True)
+    coefficient, name, values = term
+    hidden = {"hidden": [coefficient, name], "size": values.get("unlisted_product"), "score": score(found, *term)}
+    terms = [[t.coefficient, t.term.name, *t.size, [o.name for o, _ in t.others]] for t in found.terms]
+    return {"seed": seed, "noise": noise, **({"hidden": None} if silent else hidden), **row, "terms": terms}
 
 
 def score(found: Diagnosis, coefficient: str, name: str, values: dict[str, float]) -> float | None:
@@ -183,20 +158,19 @@ def score(found: Diagnosis, coefficient: str, name: str, values: dict[str, float
     return abs(values["unlisted_product"]) * own[0].scale / float(np.sqrt(variance))
 
 
-def is_found(row: dict[str, Any], *, exactly: bool) -> bool:
+def is_found(row: Row, *, exactly: bool) -> bool:
     """Whether the hidden form is a term that was found, or (unless `exactly`) one that is as good."""
     coefficient, name = row["hidden"]
     known = [(c, n) for c, first, _, _, others in row["terms"] for n in ([first] if exactly else [first, *others])]
-    known += [] if exactly else [rival.split(" over ") for u in row["unexplained"] for rival in u[4]]
+    known += [] if exactly else [rival.split(" over ") for *_, rivals in row["unexplained"] for rival in rivals]
     return any(c == coefficient and (n.startswith(name) if name in ("max", "exp") else n == name) for c, n in known)
 
 
-def report(rows: list[dict[str, Any]]) -> None:
+def report(rows: list[Row]) -> None:
     """Counts."""
     silent = [r for r in rows if r["hidden"] is None]
-    if silent:
-        told, found = sum(bool(r["terms"]) for r in silent), sum(r["verdict"] != "no_effect" for r in silent)
-        print(f"nothing hidden: {told} of {len(silent)} get a term, {found} any finding")
+    print(f"nothing hidden: a term in {share(r['terms'] for r in silent)}")
+    studies.print_silent(silent)
     some = [r for r in rows if r["hidden"]]
     products = [r for r in some if r["score"] is not None]
     kinds = {
@@ -206,18 +180,18 @@ def report(rows: list[dict[str, Any]]) -> None:
         "bumps": [r for r in some if r["hidden"][1] == "exp"],
     }
     for kind, own in kinds.items():
-        exact, among = (sum(is_found(r, exactly=e) for r in own) for e in (True, False))
-        print(f"{kind}: exact form {exact} of {len(own)}, in the set {among}")
-    print("of an exact form: ", end="")
-    print_sizes([(t[2], t[3], r["size"]) for r in products for t in r["terms"][:1] if t[1] == r["hidden"][1]])
+        exact, among = (share(is_found(r, exactly=e) for r in own) for e in (True, False))
+        print(f"{kind}: exact form {exact}, in the set {among}")
+    sizes = [(*t[2:4], r["size"]) for r in products for t in r["terms"][:1] if t[1] == r["hidden"][1]]
+    print(f"the interval of an exact form holds the size {share(abs(m - x) < studies.Z95 * sd for m, sd, x in sizes)}")
     print("verdicts:", dict(Counter(r["verdict"] for r in some)))
 
 
 if __name__ == "__main__":
-    parser = parser_of(__doc__, "terms")
+    parser = studies.parser_of(__doc__, "terms")
     parser.add_argument("--silent", action="store_true", help="nothing hidden")
     parser.add_argument("--without-accelerometers", action="store_true", help="diagnose by trajectories")
     parser.add_argument("--gusts", type=float, default=0.0, help="their deviation, m/s; diagnose by innovations")
     given = parser.parse_args()
     settings = {"silent": given.silent, "without": given.without_accelerometers, "gusts": given.gusts}
-    report(run_seeds(given, "terms.jsonl", case, **settings))
+    report(studies.run_seeds(given, "terms.jsonl", case, **settings))

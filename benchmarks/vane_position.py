@@ -11,18 +11,16 @@ chi2, once it is divided by chi2/n of the best, is a log likelihood ratio.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.signal import lfilter
+from studies import plain_parser, records_of
 
 from bayes_aero.diagnosis.consistency import screen_sensor_errors
 from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.selection import removed
 from bayes_aero.diagnosis.selection_state import SelectionState, refitted
-from bayes_aero.flight.card import read_card
-from bayes_aero.flight.reading import read_record
 from bayes_aero.inference.covariance import ORDER
 
 RIVALS = ("vane_position", "alpha_delay")
@@ -31,12 +29,7 @@ ROUNDS = 3  # between colour and estimate
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("records", nargs="+")
-    arguments.add_argument("--model", default="attas")
-    given = arguments.parse_args()
-    card = read_card(given.model)
-    records = [read_record(path, card.channels) for path in given.records]
+    _, card, records = records_of(plain_parser(__doc__))
     state = without_rivals(screen_sensor_errors(records, card).state)
     colour = colour_with_both(state)
     folds = range(len(state.folds))

@@ -229,23 +229,24 @@ def case(kind: str, seed: int, posterior: bool) -> Row:
 def _of(kind: str, seed: int, posterior: bool) -> tuple[Row, dict[str, bool]]:
     import hidden_effects
     import other_aircraft
+    import studies
 
     if kind == "identify":
         return _identified(seed, posterior)
     if kind in ("other", "other_silence"):
         found = other_aircraft.case(seed, 0.0, bool(seed % 2), 2, kind == "other_silence")
-        if found["hidden"] is None:
-            return found, {"other_false_alarms": found["verdict"] != "no_effect" or bool(found["causes"])}
-        named, held = other_aircraft.named_first(found), other_aircraft.inside(found)
-        return found, {"other_named": named} | ({} if held is None else {"other_size_held": bool(held)})
+        if not found["hidden"]:
+            return found, {"other_false_alarms": not studies.quiet(found)}
+        named, held = studies.named_first(found), studies.held(found)
+        return found, {"other_named": named} | ({} if held is None else {"other_size_held": held})
     found = hidden_effects.case(kind, seed, hidden_effects.PAIR, False)
     if kind == "silence":
-        return found, {"false_alarms": hidden_effects.alarmed(found)}
+        return found, {"false_alarms": not studies.quiet(found)}
     if kind == "unknown":
         return found, {"unexplained": bool(found["unexplained"])}
-    if hidden_effects.size(found) < hidden_effects.CLEAR:  # the record could not show it
+    if hidden_effects.size(found) < studies.CLEAR:  # the record could not show it
         return found, {}
-    held = hidden_effects.inside(found)
+    held = studies.held(found)
     return found, {"named": hidden_effects.named_first(found)} | ({} if held is None else {"size_held": held})
 
 

@@ -8,25 +8,22 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module, resources
 from pathlib import Path
 
 import jax
 import matplotlib.figure
 import numpy as np
-import pandas as pd
 import pytest
 import xarray as xr
 from beartype.roar import BeartypeCallHintViolation
-from jaxtyping import Float
-from typechecker import check_once
 
 import bayes_aero as ba
 import bayes_aero.effects as effects
 from bayes_aero.cli.fits import identify as command
-from bayes_aero.diagnosis import selection_state
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.result import theil_parts
 from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -64,31 +61,26 @@ def test_public_names_are_locked_documented_and_typed():
 
 @pytest.fixture(scope="module")
 def fitted(clean_records, card):
-    """A model composed in three lines and fitted."""
-    model = ba.Model.from_card(card).extended("thrust_moment")
-    return ba.fit(clean_records, card, model=model)
+    """A model composed in one line and fitted."""
+    return ba.fit(clean_records, card, model=ba.Model.from_card(card).extended("thrust_moment"))
 
 
 def test_a_composed_model_keeps_the_card_s_priors_and_finds_nothing_where_nothing_is(fitted, card):
-    base = ba.Model.from_card(card)
     kept = {p.name: p for p in fitted.run.model.parameters}
-    assert all(kept[p.name] == p for p in base.parameters)
-    i = fitted.mle.names.index("thrust_arm")
-    assert abs(fitted.mle.estimate[i]) < 0.05  # m; the simulation's line of thrust goes through the centre of gravity
-
-
-def test_table_and_plot(fitted):
-    table = fitted.table()
-    assert isinstance(table, pd.DataFrame)
+    assert all(kept[p.name] == p for p in ba.Model.from_card(card).parameters)
+    table = fitted.table()  # the simulation's line of thrust goes through the centre of gravity
     assert list(table.index) == list(ordered(fitted.mle.names, fitted.mle.parameters))
+    assert abs(fitted.mle.estimate[fitted.mle.names.index("thrust_arm")]) < 0.05  # m
     np.testing.assert_allclose(table.loc["Cmq", "crb"], fitted.mle.crb[fitted.mle.names.index("Cmq")])
+
+
+def test_figures_are_drawn_and_what_cannot_be_is_said(fitted):
     figure = ba.plot(fitted, width=10.0)
     assert isinstance(figure, matplotlib.figure.Figure)
     assert figure.get_size_inches()[0] == 10.0
-    with pytest.raises(ba.InputError, match="no posterior"):
-        ba.plot(fitted, "trace_emcee")
-    with pytest.raises(ba.InputError, match="forest"):
-        ba.plot(fitted, "florest")
+    for name, words in (("trace_emcee", "no posterior"), ("florest", "forest")):
+        with pytest.raises(ba.InputError, match=words):
+            ba.plot(fitted, name)
     with pytest.raises(ba.InputError, match="gpr"):
         fitted.validation()
 
@@ -135,12 +127,12 @@ def test_diagnosed_says_what_the_view_holds_and_what_is_in_doubt(diagnosed, card
 
 def test_whatever_reads_records_makes_the_same_checks():
     """Health, identity and consistency are asked for at one place, and every command gets there."""
-    package = Path(ba.__file__).parent
-    source = {str(p.relative_to(package)): p.read_text(encoding="utf-8") for p in package.rglob("*.py")}
+    source = {str(p.relative_to(PACKAGE)): p.read_text(encoding="utf-8") for p in PACKAGE.rglob("*.py")}
     alone = re.compile(r"(?<!def )\b(channel_health|consistency|same_records)\(")
     assert {name for name, text in source.items() if alone.search(text)} == {
-        "flight/health/channel.py", "jobs/check.py",
-    }  # fmt: skip
+        "flight/health/channel.py",
+        "jobs/check.py",
+    }
     makes = {name for name, text in source.items() if "record_checks(" in text}
     jobs = {f"jobs/{name}.py" for name in ("check", "identify", "fly", "diagnose", "qualify")}
     assert makes == {"explore/opened.py", "api.py", *jobs}
@@ -150,7 +142,7 @@ def test_whatever_reads_records_makes_the_same_checks():
 ENTRY = '''
 """Drag of the elevator, squared."""
 from bayes_aero.effects.longitudinal import ELEVATOR_DRAG
-from dataclasses import dataclass, replace
+from dataclasses import replace
 ELEVATOR_DRAG_AGAIN = replace(ELEVATOR_DRAG, name="elevator_drag_again")
 '''
 
@@ -210,31 +202,17 @@ def test_a_report_takes_results_and_computes_none(path):
     assert not {function.attr for function in called if isinstance(function, ast.Attribute)} & COMPUTE
 
 
-def test_the_check_sees_what_it_forbids():
-    tree = ast.parse("from bayes_aero.inference.mle import stall_of\nfrom bayes_aero.report.style import save")
-    assert taken(tree) == [("bayes_aero.inference.mle", "stall_of")]
-    assert inspect.isfunction(import_module("bayes_aero.inference.mle").stall_of)
+def test_records_of_other_names_run_the_compiled_programs(diagnosed, card):
+    """After one diagnosis the same flight under another name compiles nothing."""
+    traced = []
 
-
-@pytest.fixture
-def traced():
-    """Names of the functions that are traced from here on."""
-    seen = []
-
-    def listen(event, _, **told):
+    def listen(event, _, **about):
         if event == "/jax/core/compile/jaxpr_trace_duration":
-            seen.append(told.get("fun_name", "?"))
+            traced.append(about.get("fun_name", "?"))
 
     jax.monitoring.register_event_duration_secs_listener(listen)
-    return seen
-
-
-def test_records_of_other_names_run_the_compiled_programs(traced, diagnosed, card, monkeypatch):
-    """After one diagnosis, of few effects, the same flight under another name compiles nothing."""
-    few = ("thrust_moment", "pitch_rate_bias", "alpha_squared_moment", "alpha_bias")
-    monkeypatch.setattr(selection_state, "CATALOGUE", {name: CATALOGUE[name] for name in few})
     (record,) = diagnosed.records
-    settings = DiagnosisSettings(max_effects=2)
+    settings = DiagnosisSettings(max_effects=1, gains=False)
     first = diagnose([record], card, settings=settings)
     traced.clear()
     again = diagnose([replace(record, name="the same flight")], card, settings=settings)
@@ -244,69 +222,19 @@ def test_records_of_other_names_run_the_compiled_programs(traced, diagnosed, car
     assert "<lambda>" in traced, "tracing was not listened to"
 
 
-OWN = "--xla_cpu_use_fusion_emitters=true"
-
-
-@pytest.mark.parametrize(
-    ("flags", "found"),
-    [
-        ("", "--xla_cpu_use_fusion_emitters=false"),
-        (
-            "--xla_cpu_multi_thread_eigen=false",
-            "--xla_cpu_multi_thread_eigen=false --xla_cpu_use_fusion_emitters=false",
-        ),
-        (OWN, OWN),
-    ],
-)
-def test_the_former_emitters_are_asked_for_unless_flags_say_otherwise(flags, found):
+@pytest.mark.parametrize(("flags", "added"), [
+    ("--xla_cpu_multi_thread_eigen=false", " --xla_cpu_use_fusion_emitters=false"),
+    ("--xla_cpu_use_fusion_emitters=true", ""),
+])  # fmt: skip
+def test_the_former_emitters_are_asked_for_unless_flags_say_otherwise(flags, added):
     """And the compiler knows the flag: an unknown one would end the process at the first program."""
     code = "import os, bayes_aero, jax; print(os.environ['XLA_FLAGS']); print(float(jax.numpy.ones(2).sum()))"
     environment = os.environ | {"XLA_FLAGS": flags}
-    told = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    assert told.stdout.splitlines() == [found, "2.0"]
+    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert ended.stdout.splitlines() == [flags + added, "2.0"]
 
 
-N, M = np.zeros(3), np.zeros(4)
-
-
-@check_once
-def both(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], scale: float = 1.0) -> Float[np.ndarray, " n"]:
-    return np.concatenate([x, y]) if scale < 0.0 else scale * (x + y)
-
-
-@check_once
-@dataclass
-class Pair:
-    x: Float[np.ndarray, " n"]
-    y: Float[np.ndarray, " n"]
-
-
-def test_what_fits_passes_and_the_package_is_checked():
-    assert both(N, N, 2).shape == (3,)
-    assert both(M, M).shape == (4,)  # a letter means another size at the next call
-    assert Pair(N, y=N).x is N
+@pytest.mark.parametrize(("use", "given"), [(smooth, ("no signal", 0.1)), (theil_parts, (np.zeros(3), np.zeros(4)))])
+def test_types_and_shapes_are_checked_as_the_package_runs_under_test(use, given):
     with pytest.raises(BeartypeCallHintViolation):
-        smooth("no signal", 0.1)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        lambda: both(N, M),
-        lambda: both(N, N, "1"),
-        lambda: both(N, np.zeros((3, 1))),
-        lambda: both(N, np.zeros(3, dtype=int)),
-        lambda: both(N, N, -1.0),  # the result is twice as long
-        lambda: Pair(N, M),
-    ],
-)
-def test_what_does_not_fit_is_refused(wrong):
-    with pytest.raises(BeartypeCallHintViolation):
-        wrong()
-
-
-def test_xdist_knows_the_groups(request):
-    """It does so by the names of the tests; spread over the workers they take several times as long."""
-    if not request.config.getoption("loadgroup", False):
-        pytest.skip("runs in the workers of --dist loadgroup only")
-    assert request.node.nodeid.endswith("@test_package")
+        use(*given)

@@ -19,8 +19,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # reference.py and other files that benchmarks share
-
 FITTED = (("first", "first call, s", ".3g"), ("warm", "warm, s", ".3g"), ("cost", "above the best, nats", ".1e"))
 MEMORY = ("memory", "peak, MiB", ".0f")
 DRAWN = (
@@ -153,9 +151,7 @@ def main() -> None:
     text = page(found, facts)
     print(text)
     if options.out:
-        partial = options.out.with_name(options.out.name + ".part")
-        partial.write_text(text + "\n")
-        partial.replace(options.out)
+        options.out.write_text(text + "\n")
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from reference import Reference, WhitePosterior, agree, load
+from reference import Reference, WhitePosterior, agree
 
 if TYPE_CHECKING:
     from bayes_aero.model.model import Model
@@ -84,8 +84,18 @@ INPUTS = ("alpha", "elevator", "q", "airspeed")
 
 
 def prepare(options: argparse.Namespace) -> None:
-    """Fill the folder from the records of the command line."""
-    _, model, observations = load(options.records)
+    """Fill the folder from the records of the command line (none: the simulated ones of the package)."""
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.flight.reading import read_records
+    from bayes_aero.model.model import Model
+    from bayes_aero.model.observations import observe
+    from bayes_aero.simulate.demo import demo_records
+
+    card = read_card("attas")
+    model = Model.from_card(card)
+    observations = observe(
+        read_records(options.records, card.channels) if options.records else demo_records(), card, model
+    )
     if options.quick:
         observations = observations.thinned()
     asked = {"of": [str(path) for path in options.records], "sizes": options.sizes, "quick": options.quick}
@@ -119,19 +129,10 @@ def lay_down(model: Model, observations: Observations, folder: Path, asked: dict
     near = mode.unwhiten(np.random.default_rng(1).standard_normal((10, density.size)))
     values = np.array([float(density(jnp.asarray(u))) for u in near])
     apart.append(agree(values, np.array([posterior(u) for u in near])))
-    problem = Problem(
-        folder=folder,
-        reference=reference,
-        posterior=posterior,
-        start=start,
-        R=np.asarray(best.R),
-        u=mode.u,
-        factor=mode.factor,
-        names=density.names,
-        processes={n: lift_samples(observations, n) for n in asked["sizes"]},
-    )
+    processes = {n: lift_samples(observations, n) for n in asked["sizes"]}
+    posed = reference, posterior, start, np.asarray(best.R), mode.u, mode.factor, density.names, processes
     (folder / OURS).write_bytes(pickle.dumps(observations))
-    (folder / PROBLEM).write_bytes(pickle.dumps(problem))
+    (folder / PROBLEM).write_bytes(pickle.dumps(Problem(folder, *posed)))
     facts = {"samples": observations.n, "manoeuvres": len(observations.names), "apart": max(apart)}
     (folder / "facts.json").write_text(json.dumps(asked | facts | {"device": jax.devices()[0].platform}))
 
@@ -255,26 +256,12 @@ def begin(problem: Problem, seed: int) -> np.ndarray:
     return problem.u + BALL * normal @ problem.factor.T
 
 
-def halves(chain: np.ndarray) -> tuple[np.ndarray, float]:
-    """A chain (step, walker, k) without its burn-in, and the share that is left.
-
-    Walkers are laid end to end, those of one half of the ensemble as a chain: R-hat of one chain alone is not defined.
-    """
-    import emcee
-
-    tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
-    discard = min(int(BURN_IN * tau), len(chain) // 2)
-    return np.swapaxes(chain[discard:], 0, 1).reshape(2, -1, chain.shape[2]), 1.0 - discard / len(chain)
-
-
-def end_to_end(problem: Problem, chain: np.ndarray) -> Drawn:
-    """The draws of a chain (step, walker, 17) of u."""
-    u, kept = halves(chain)
-    return Drawn(problem.posterior.bounded(u)[0], kept)
-
-
 def stock_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Sampling:
-    """One ensemble, its default move, the density called walker by walker."""
+    """One ensemble, its default move, the density called walker by walker.
+
+    Of its chain (step, walker, 17) without burn-in, walkers are laid end to end, those of one half of the ensemble as a
+    chain: R-hat of one chain alone is not defined.
+    """
     import emcee
 
     def run(seed: int) -> Drawn:
@@ -282,27 +269,27 @@ def stock_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Sampli
         np.random.seed(seed)  # noqa: NPY002 - emcee takes this generator only
         sampler = emcee.EnsembleSampler(*walkers.shape, problem.posterior)
         sampler.run_mcmc(walkers, options.steps)
-        return end_to_end(problem, sampler.get_chain())
+        chain = sampler.get_chain()
+        tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
+        discard = min(int(BURN_IN * tau), len(chain) // 2)
+        halves = np.swapaxes(chain[discard:], 0, 1).reshape(2, -1, chain.shape[2])
+        return Drawn(problem.posterior.bounded(halves)[0], 1.0 - discard / len(chain))
 
     return run
 
 
 def judged_draws(problem: Problem, _: int, warm: list[tuple[float, Drawn]]) -> dict:
-    """Medians over the runs of the least ESS and of its rates; the worst R-hat; means, to see that they agree."""
+    """Medians over the runs of the least ESS and of its rates; the worst R-hat."""
     from bayes_aero.inference.sampling import diagnose
 
-    names = problem.names
-    ess, rate, free, rhat = [], [], [], []
+    rows = []
     for seconds, drawn in warm:
-        marginals = diagnose(drawn.x, names)
-        least = min(m.ess_bulk for m in marginals.values())
-        ess.append(least)
-        rate.append(least / seconds)
-        free.append(least / (seconds * drawn.kept))
-        rhat.append(max(m.rhat for m in marginals.values()))
-    x = np.concatenate([drawn.x.reshape(-1, len(names)) for _, drawn in warm])
-    told = {"ess": statistics.median(ess), "rate": statistics.median(rate), "free": statistics.median(free)}
-    return told | {"rhat": max(rhat), "mean": x.mean(axis=0).tolist(), "sd": x.std(axis=0).tolist()}
+        marginals = diagnose(drawn.x, problem.names).values()
+        least = min(m.ess_bulk for m in marginals)
+        rates = {"ess": least, "rate": least / seconds, "free": least / (seconds * drawn.kept)}
+        rows.append(rates | {"rhat": max(m.rhat for m in marginals)})
+    medians = {name: statistics.median(row[name] for row in rows) for name in ("ess", "rate", "free")}
+    return medians | {"rhat": max(row["rhat"] for row in rows)}
 
 
 SAMPLERS = {"bayes_aero, emcee": our_sampler("emcee"), "bayes_aero, NUTS": our_sampler("NUTS"), "emcee": stock_emcee}

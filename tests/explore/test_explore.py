@@ -16,25 +16,14 @@ from scipy.stats import norm
 
 from bayes_aero.diagnosis.trajectories import fly_given
 from bayes_aero.errors import InputError
-from bayes_aero.explore.opened import (
-    Choice,
-    Simulator,
-    addable,
-    chosen_model,
-    export_chosen,
-    flown_model,
-    groups_of,
-    open_result,
-    shown_effects,
-)
+from bayes_aero.explore import opened as explored
+from bayes_aero.explore.opened import Choice, Simulator
 from bayes_aero.explore.page import Asked, PageServer, gain, read_asked, scores
 from bayes_aero.export.simulators import slave_source
 from bayes_aero.flight.reading import read_record
-from bayes_aero.inference.mle import fit_mle
 from bayes_aero.jobs.finished import FORMS
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import despiked, join, observe
-from bayes_aero.physics.aircraft import FLIGHT
+from bayes_aero.model.observations import observe
 
 
 def agree(found, expected):
@@ -45,38 +34,38 @@ def agree(found, expected):
 def test_the_result_is_the_one_that_fly_wrote(results, simulator):
     with xr.open_datatree(results.flown / "histories.nc", engine="h5netcdf") as tree:
         written = tree["trajectories_fitted"].to_dataset().load()
-    now = simulator.fly(0, Choice())
-    assert now.inside.all()
-    for name in simulator.outputs:
-        y = np.asarray(written[f"{name}_fitted"])
-        np.testing.assert_allclose(now.simulated[name], y, rtol=1e-6, atol=1e-6 * np.ptp(y), err_msg=name)
+    for k in (0, 1):
+        now = simulator.fly(k, Choice())
+        assert now.inside.all()
+        for name in simulator.outputs:
+            y = np.asarray(written[f"{name}_fitted"])[written["manoeuvre"] == k + 1]
+            np.testing.assert_allclose(now.simulated[name], y, rtol=1e-6, atol=1e-6 * np.ptp(y), err_msg=name)
 
 
-def test_other_values_and_effects_fly_as_the_package_does(packaged, simulator, model, card):
-    agree(simulator.fly(0, Choice({"CLa": 3.9, "Cmde": -1.1})).simulated, packaged(model, CLa=3.9, Cmde=-1.1))
-    kept = tuple(e for e in card.effects if e != "separated_moment")
-    without = Model.of(kept, card.fixed)
-    agree(simulator.fly(0, Choice(off=frozenset({"separated_moment"}))).simulated, packaged(without))
-    wider = model.extended("mass_scale")
-    heavy = simulator.fly(0, Choice({"mass_scale": 1.04}, added=("mass_scale",)))
-    agree(heavy.simulated, packaged(wider, mass_scale=1.04))
+LAG = ("separation_lag",)
+CHOICES = {
+    "moved": Choice({"CLa": 3.9, "Cmde": -1.1}),
+    "attached": Choice(off=frozenset({"separated_moment"})),
+    "heavy": Choice({"mass_scale": 1.04}, added=("mass_scale",)),
+    "lagged": Choice({"tau1": 9.0}, added=LAG),
+    "lag off": Choice({"tau1": 9.0}, frozenset(LAG), LAG),  # exactly absent: a lag of zero would leave a fast state
+}
 
 
-def test_a_lag_can_be_added_and_switched_off(packaged, simulator, card):
-    """Off it is exactly absent, though a lag of zero would leave a fast state."""
-    fixed = {name: x for name, x in card.fixed.items() if name != "tau1"}
-    lagged = Model.of(card.effects, fixed)
-    added = ("separation_lag",)
-    agree(simulator.fly(0, Choice({"tau1": 9.0}, added=added)).simulated, packaged(lagged, tau1=9.0))
-    off = simulator.fly(0, Choice({"tau1": 9.0}, frozenset(added), added)).simulated
-    agree(off, simulator.fly(0, Choice()).simulated)
+@pytest.mark.parametrize("name", CHOICES)
+def test_other_values_and_effects_fly_as_the_package_does(packaged, simulator, model, card, name):
+    kept = tuple(e for e in card.effects if name != "attached" or e != "separated_moment")
+    fixed = {key: x for key, x in card.fixed.items() if name != "lagged" or key != "tau1"}
+    flown = model.extended("mass_scale") if name == "heavy" else Model.of(kept, fixed)
+    values = CHOICES[name].values if name != "lag off" else {}
+    agree(simulator.fly(0, CHOICES[name]).simulated, packaged(flown, **values))
 
 
 def test_effects_are_those_with_parameters_that_act_and_what_is_not_flown_is_said(simulator, model):
-    shown = {e.name for e in shown_effects(model)}
+    shown = {e.name for e in explored.shown_effects(model)}
     assert "attached_lift" in shown
     assert shown.isdisjoint({"kirchhoff_lift", "separation_lag"})  # without parameters; fixed at neutral by the card
-    more = {e.name for e in addable(model, tuple(simulator.flights.channels))}
+    more = {e.name for e in explored.addable(model, tuple(simulator.flights.channels))}
     assert {"separation_lag", "mass_scale"} <= more
     assert more.isdisjoint({"attached_lift", "vertical_gusts", "longitudinal_gusts"})
     opened = simulator.opened
@@ -87,16 +76,14 @@ def test_effects_are_those_with_parameters_that_act_and_what_is_not_flown_is_sai
 
 
 def test_coefficients_are_those_of_the_record_and_the_model(results, simulator, card, model):
-    """Formed by the observations of identify, modelled by the fit that identify makes of them."""
-    record = read_record(results.folder / "stall.csv", card.channels)
-    seen = observe([record], card, model)
-    found = fit_mle(model, seen, seed=0)
-    values = dict(zip(found.names, map(float, found.estimate), strict=True))
-    now = simulator.fly(0, Choice(values))
-    predicted = np.asarray(model.predicted(found.estimate, seen.signals, seen.aircraft))
+    """As the observations of `identify` form and model them."""
+    seen = observe([read_record(results.folder / "stall.csv", card.channels)], card, model)
+    now = simulator.fly(0, Choice())
+    theta = np.array([now.values[name] for name in model.names])
+    predicted = np.asarray(model.predicted(theta, seen.signals, seen.aircraft))
     for c, name in enumerate(model.coefficients):
-        span = np.ptp(predicted[:, c])
-        assert np.sqrt(np.mean((now.coefficients[name] - predicted[:, c]) ** 2)) < 0.01 * span
+        for found, expected in ((now.coefficients, predicted), (now.formed, np.asarray(seen.measured))):
+            assert np.sqrt(np.mean((found[name] - expected[:, c]) ** 2)) < 0.01 * np.ptp(expected[:, c])
 
 
 def test_draws_have_the_covariance_of_the_fit(simulator, monkeypatch):
@@ -105,55 +92,48 @@ def test_draws_have_the_covariance_of_the_fit(simulator, monkeypatch):
     told = dict(simulator.opened.told)
     told["covariance"] = (0.01 * np.array(told["covariance"])).tolist()
     monkeypatch.setitem(simulator.opened.told, "covariance", told["covariance"])
-    origin, fan = simulator.fan(0, count=400, seed=1)
-    assert origin.startswith("normal distribution of the estimates")
+    fans = [simulator.fan(0, seed=seed) for seed in range(10)]  # of 40, as the page draws them
+    assert all(origin.startswith("normal distribution of the estimates") for origin, _ in fans)
+    drawn = np.concatenate([fan["CL"] for _, fan in fans])
+    assert len(drawn) == 400
     slopes = []
     for name, p in told["parameters"].items():
         h = 0.01 * p["sd_corrected"]
         up, down = (simulator.fly(0, Choice({name: p["estimate"] + x})).coefficients["CL"] for x in (h, -h))
         slopes.append((up - down) / (2.0 * h))
     expected = np.sqrt(np.einsum("in,ij,jn->n", slopes, np.array(told["covariance"]), slopes))
-    np.testing.assert_allclose(np.std(fan["CL"], axis=0), expected, rtol=0.15)
+    np.testing.assert_allclose(np.std(drawn, axis=0), expected, rtol=0.15)
 
 
-def test_every_manoeuvre_of_identify_flies_from_its_measured_state(results, card, model):
-    """As the package flies all of them together."""
-    simulator = Simulator(open_result(str(results.identified)))
-    assert simulator.opened.departures == {}
-    assert simulator.manoeuvres == ("stall", "second")
-    records = [read_record(results.folder / f"{name}.csv", card.channels) for name in simulator.manoeuvres]
-    flights, _ = despiked(join(records, card, FLIGHT))
-    paths = fly_given(flights, model, simulator.opened.identified.values, {})
+def test_without_fitted_states_every_manoeuvre_flies_from_its_measured_one(simulator, model):
+    """As of a result of identify; as the package flies all of them together."""
+    found = Simulator(replace(simulator.opened, departures={}))
+    assert found.manoeuvres == ("stall", "second")
+    paths = fly_given(found.flights, model, found.opened.identified.values, {})
     assert len(paths[0].time) > len(paths[1].time)
     for k, path in enumerate(paths):
-        now = simulator.fly(k, Choice())
+        now = found.fly(k, Choice())
         agree(now.simulated, path.simulated)
-        np.testing.assert_array_equal(simulator.time(k), path.time)
+        np.testing.assert_array_equal(found.time(k), path.time)
         assert {len(y) for y in (*now.coefficients.values(), *now.formed.values())} == {len(path.time)}
 
 
-CHOICES = {
-    "moved": Choice({"CLa": 3.9}),
-    "attached": Choice(off=frozenset({"flow_separation", "reattachment_hysteresis"})),
-    "lagged": Choice({"tau1": 9.0}, added=("separation_lag",)),
-    "lag off": Choice({"tau1": 9.0}, frozenset({"separation_lag"}), ("separation_lag",)),
-    "sensor": Choice({"alpha_bias": 0.01}, frozenset({"mach_lift"}), ("alpha_bias", "alpha_dot_moment")),
-}
+SENSOR = Choice({"alpha_bias": 0.01}, frozenset({"mach_lift"}), ("alpha_bias", "alpha_dot_moment"))
+EXPORTED = CHOICES | {"sensor": SENSOR}
 
 
 @pytest.fixture(scope="module")
-def own(results, tmp_path_factory):
+def own(results, served):
     """A simulator of a result that may be written to."""
-    folder = tmp_path_factory.mktemp("handed") / "flown"
-    shutil.copytree(results.flown, folder)
-    return Simulator(open_result(str(folder), None, [results.folder]))
+    return Simulator(explored.open_result(str(served.folder), None, [results.folder]))
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("name", CHOICES)
+@pytest.mark.parametrize(
+    ("form", "name"), [*((form, "sensor") for form in FORMS), *(("jsbsim", name) for name in CHOICES)]
+)
 def test_every_form_takes_every_choice(own, form, name):
-    values = own.fly(0, CHOICES[name]).values
-    folder, files = export_chosen(own.opened, CHOICES[name], values, form)
+    choice = EXPORTED[name]
+    folder, files = explored.export_chosen(own.opened, choice, own.fly(0, choice).values, form)
     assert folder.parent == own.opened.folder / "exports"
     assert all((folder / file).stat().st_size > 0 for file in files)
 
@@ -161,11 +141,11 @@ def test_every_form_takes_every_choice(own, form, name):
 @pytest.mark.parametrize("name", ["moved", "attached", "sensor"])
 def test_the_exported_function_has_the_coefficients_of_the_page(own, name):
     """The function of an FMU at single samples of the corrected record, against the model that is flown."""
-    choice = CHOICES[name]
+    choice = EXPORTED[name]
     values = own.fly(0, choice).values
-    chosen, exported = chosen_model(own.opened, choice, values), {}
+    chosen, exported = explored.chosen_model(own.opened, choice, values), {}
     exec(compile(slave_source(chosen, "exported"), "exported.py", "exec"), exported)
-    flown, flights = flown_model(own.opened.identified.model, choice), own.flights
+    flown, flights = explored.flown_model(own.opened.identified.model, choice), own.flights
     arrays = {name: np.asarray(x) for name, x in values.items()}
     channels = flights.with_slopes(flown.corrected(arrays, flights.channels, flights.aircraft))
     for k in (100, 300, 500):
@@ -181,13 +161,14 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(own):
     shutil.rmtree(blocked, ignore_errors=True)
     blocked.write_text("a file")
     with pytest.raises(InputError, match=r"cannot write .*exports"):
-        export_chosen(own.opened, Choice(), own.fly(0, Choice()).values, "jsbsim")
+        explored.export_chosen(own.opened, Choice(), own.fly(0, Choice()).values, "jsbsim")
     blocked.unlink()
 
 
 def test_sliders_hold_the_estimate_within_the_bounds(own):
     identified = own.opened.identified
-    groups = groups_of(identified.model, identified.values, own.opened.errors, ("separation_lag", "mass_scale"))
+    added = ("separation_lag", "mass_scale")
+    groups = explored.groups_of(identified.model, identified.values, own.opened.errors, added)
     sliders = {s.name: s for group in groups for s in group.sliders}
     bounds = {p.name: p.bounds for p in identified.model.extended("mass_scale").parameters}
     for s in sliders.values():
@@ -200,35 +181,27 @@ def test_sliders_hold_the_estimate_within_the_bounds(own):
     assert star.value == pytest.approx(math.degrees(identified.values["alpha_star"]))
     reach = max(5.0 * math.degrees(own.opened.errors["alpha_star"]), 0.3 * star.value)
     assert star.high == pytest.approx(star.value + reach)
-    assert [group.added for group in groups if group.name in ("separation_lag", "mass_scale")] == [True, True]
-
-
-N = 200
-RNG = np.random.default_rng(7)
-WINDOW = np.arange(N) >= 50
-RECORDED = {"alpha": RNG.standard_normal(N), "q": RNG.standard_normal(N)}
-BEFORE = {name: x + 0.3 * RNG.standard_normal(N) for name, x in RECORDED.items()}
-NOW = {name: x + 0.2 * RNG.standard_normal(N) for name, x in RECORDED.items()}
+    assert [group.added for group in groups if group.name in added] == [True, True]
 
 
 def test_errors_and_gain_are_those_of_the_window():
-    alpha, q = scores(RECORDED, BEFORE, NOW, WINDOW, {"alpha": 0.25})
-    wrong = (NOW["alpha"] - RECORDED["alpha"])[50:]
+    rng, n, window = np.random.default_rng(7), 200, np.arange(200) >= 50
+    recorded = {name: rng.standard_normal(n) for name in ("alpha", "q")}
+    before, now = ({name: x + sd * rng.standard_normal(n) for name, x in recorded.items()} for sd in (0.3, 0.2))
+    alpha, q = scores(recorded, before, now, window, {"alpha": 0.25})
+    wrong = (now["alpha"] - recorded["alpha"])[window]
     assert alpha["now"] == pytest.approx(np.linalg.norm(wrong) / np.sqrt(150.0), rel=1e-12)
     assert alpha["within"] == np.count_nonzero(np.abs(wrong) <= 0.25) / 150
     assert alpha["within_before"] < alpha["within"]
     assert (q["within"], q["within_before"]) == (None, None)
     sd = {"alpha": 0.3, "q": 0.5}
 
-    def density(simulated):
-        return sum(norm.logpdf((RECORDED[n] - simulated[n])[WINDOW], scale=x).sum() for n, x in sd.items())
+    def errors(simulated):
+        return [(recorded[name] - simulated[name])[window] / x for name, x in sd.items()]
 
-    def errors(now):
-        return [((RECORDED[n] - BEFORE[n])[WINDOW] / x, (RECORDED[n] - now[n])[WINDOW] / x) for n, x in sd.items()]
-
-    assert gain(errors(NOW), 1.0) == pytest.approx(density(NOW) - density(BEFORE), rel=1e-12)
-    assert gain(errors(NOW), 25.0) == pytest.approx((density(NOW) - density(BEFORE)) / 25.0)
-    assert gain(errors(BEFORE), 1.0) == 0.0
+    gained = sum(norm.logpdf(a).sum() - norm.logpdf(b).sum() for a, b in zip(errors(now), errors(before), strict=True))
+    for weight in (1.0, 25.0):
+        assert gain(zip(errors(before), errors(now), strict=True), weight) == pytest.approx(gained / weight, rel=1e-12)
 
 
 SENT = '{"id": 3, "manoeuvre": 1, "window": [2, 5], "values": {"CLa": 3.5}, "off": ["a"], "added": ["b", "b"], "fan": true, "export": null}'  # noqa: E501
@@ -249,13 +222,8 @@ def test_what_it_never_sends_is_one_sentence(old, new):
         read_asked(text)
 
 
-UPGRADE = {
-    "Connection": "Upgrade",
-    "Upgrade": "websocket",
-    "Sec-WebSocket-Version": "13",
-    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",  # of RFC 6455
-    "Sec-WebSocket-Protocol": "bokeh, none",
-}
+UPGRADE = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}  # with the key of RFC 6455
+UPGRADE |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protocol": "bokeh, none"}
 
 
 def asked(port, path="/", **headers):
@@ -280,12 +248,10 @@ def test_other_hosts_are_refused_and_the_page_names_none(served):
     assert "cdn." not in html
 
 
-@pytest.mark.parametrize(
-    "origin", ["http://example.com", "http://127.0.0.1:1", "null", "https://127.0.0.1.example.com"]
-)
-def test_a_websocket_of_another_origin_is_refused(served, origin, monkeypatch):
+def test_a_websocket_of_another_origin_is_refused(served, monkeypatch):
     monkeypatch.setenv("BOKEH_ALLOW_WS_ORIGIN", "example.com,127.0.0.1:1")
-    assert asked(served.port, "/ws", Origin=origin, **UPGRADE)[0] == 403
+    for origin in ("http://example.com", "http://127.0.0.1:1", "null", "https://127.0.0.1.example.com"):
+        assert asked(served.port, "/ws", Origin=origin, **UPGRADE)[0] == 403
 
 
 def test_it_listens_on_this_machine_alone_and_a_taken_port_is_one_sentence(served):

@@ -2,7 +2,7 @@
 
 import ast
 from dataclasses import replace
-from math import exp, tanh
+from math import tanh
 
 import jax
 import jax.numpy as jnp
@@ -47,8 +47,6 @@ def test_programs_by_hand():
     program = translated(lambda given: {"z": jax.nn.sigmoid(2.0 * given["x"]) - 1.0}, {"x": 0.0})
     assert program.evaluated({"x": 0.3})["z"] == pytest.approx((1.0 + tanh(0.3)) / 2.0 - 1.0, abs=1e-16)
     assert program.evaluated({"x": -400.0})["z"] == -1.0
-    program = translated(lambda given: {"z": jnp.exp(-given["x"]) / (1.0 + given["x"])}, {"x": 0.0})
-    assert program.evaluated({"x": 2.0})["z"] == exp(-2.0) / 3.0
 
 
 def changed(increments):
@@ -84,22 +82,21 @@ def called(names, found, signals, points, k, **more):
     return names["aerodynamics"](given, {n: float(x[k]) for n, x in points.items()}, **more)
 
 
-@pytest.mark.parametrize("make", [stall, lambda: stall(5.0), six, everything, lambda: everything(0.0)])
+@pytest.mark.parametrize("make", [stall, six, everything, lambda: everything(0.0)])
 def test_the_function_is_the_model(make):
-    found = make()
-    names, signals = loaded(found), random_signals(found, 60)
-    points = {n: np.random.default_rng(2).uniform(0.0, 1.0, 60) for n in found.points} if found.lagged else {}
+    found, n = make(), 20
+    names, signals = loaded(found), random_signals(found, n)
+    points = {name: np.random.default_rng(2).uniform(0.0, 1.0, n) for name in found.points} if found.lagged else {}
     expected = modelled(found, signals, points or None)
-    for k in range(60):
+    for k in range(n):
         told = called(names, found, signals, points, k)
         for name, x in expected.items():
             assert told[name] == pytest.approx(x[k], rel=1e-12, abs=1e-12), name
 
 
-@pytest.mark.parametrize("make", [lambda: stall(5.0), six, everything])
-def test_at_rest_the_coefficients_are_finite(make):
+def test_at_rest_the_coefficients_are_finite():
     """Below 1 m/s they are those of 1 m/s; a lag is tau1 chords at it."""
-    found = make()
+    found = everything()
     names, signals = loaded(found), random_signals(found, 3)
     points = {n: np.full(3, 0.5) for n in found.points}
     there = [called(names, found, signals | {"airspeed": np.full(3, V)}, points, 0) for V in (0.0, 0.4, 1.0)]
@@ -171,15 +168,7 @@ def summed(tables, output, signals, variable="value"):
     return total, error
 
 
-def samples(found):
-    rng = np.random.default_rng(7)
-    signals = {n: rng.uniform(*FLOWN[n], N) for n in found.signals}
-    return random_signals(found, N) | signals
-
-
-@pytest.mark.parametrize(
-    ("make", "tau1"), [(stall, 0.0), (lambda: stall(5.0), 5.0), (six, 4.0)], ids=["stall", "lagged", "six"]
-)
+@pytest.mark.parametrize(("make", "tau1"), [(stall, 0.0), (six, 4.0)])
 def test_tables_of_few_axes_in_their_order_are_the_model(make, tau1, tmp_path):
     """Incidence, static separation point, coefficients: as the README of an export says."""
     found = replace(make(), flown=FLOWN)
@@ -187,41 +176,35 @@ def test_tables_of_few_axes_in_their_order_are_the_model(make, tau1, tmp_path):
     assert set(files) == {"tables.nc", *(f"{name}.csv" for name in tables)}
     assert max(len(table["value"].dims) for table in tables.values()) <= 3
     assert "sum of its tables" in about["sum"]
-    signals = samples(found)
+    rng = np.random.default_rng(7)
+    signals = random_signals(found, N) | {n: rng.uniform(*FLOWN[n], N) for n in found.signals}
     incidence, _ = summed(tables, "incidence", signals)
     X, _ = summed(tables, "X_static", {"incidence": incidence})
     static = (1.0 - np.tanh(25.0 * (signals["alpha"] - 20.0 * 3.159 / signals["airspeed"] *
                                     np.minimum(signals["alpha_dot"], 0.0) - 0.27))) / 2.0  # fmt: skip
     np.testing.assert_allclose(X, static, atol=5e-3)
     for name, expected in modelled(found, signals, {"X": static}).items():
-        told, error = summed(tables, name, signals | {"X": static})
+        total, error = summed(tables, name, signals | {"X": static})
         assert error <= 4.0 * ACCURACY * np.ptp(expected)
-        np.testing.assert_allclose(told, expected, atol=2.0 * error + 1e-9, err_msg=name)
+        np.testing.assert_allclose(total, expected, atol=2.0 * error + 1e-9, err_msg=name)
     if tau1:
-        told, error = summed(tables, "lag", signals)
-        np.testing.assert_allclose(told, tau1 * 3.159 / signals["airspeed"], atol=2.0 * error)
+        total, error = summed(tables, "lag", signals)
+        np.testing.assert_allclose(total, tau1 * 3.159 / signals["airspeed"], atol=2.0 * error)
 
 
-def test_files_state_units_bounds_and_the_same_numbers(tmp_path):
-    found = stall(flown=FLOWN)
-    _, tables, about = written(found, tmp_path)
+def test_files_state_units_and_bounds_and_draws_have_tables_of_their_own(tmp_path):
+    draws = Draws(("Cmq",), np.array([[-4.0], [-16.0]]), "a test")
+    _, tables, about = written(stall(flown=FLOWN, draws=draws), tmp_path)
     table = tables["Cm_airspeed_q"]
-    assert table["airspeed"].attrs["units"] == "m/s"
-    assert table["q"].attrs["units"] == "rad/s"
+    assert (table["airspeed"].attrs["units"], table["q"].attrs["units"]) == ("m/s", "rad/s")
     assert (float(table["airspeed"][0]), float(table["airspeed"][-1])) == FLOWN["airspeed"]
     assert "alpha 0 to 0.32 rad" in about["about"]
     frame = pd.read_csv(tmp_path / "Cm_airspeed_q.csv")
-    assert list(frame) == ["airspeed [m/s]", "q [rad/s]", "Cm [1]"]
+    assert list(frame)[:3] == ["airspeed [m/s]", "q [rad/s]", "Cm [1]"]
     np.testing.assert_allclose(frame["Cm [1]"], table["value"].values.ravel(), rtol=1e-11)
     by_hand = -8.0 * frame["q [rad/s]"] * 3.159 / frame["airspeed [m/s]"]
     np.testing.assert_allclose(frame["Cm [1]"], by_hand, rtol=1e-9)
-
-
-def test_draws_have_tables_of_their_own_and_unknown_ranges_none(tmp_path):
-    drawn = Draws(("Cmq",), np.array([[-4.0], [-16.0]]), "a test")
-    _, tables, _ = written(stall(flown=FLOWN, draws=drawn), tmp_path)
-    table = tables["Cm_airspeed_q"]
-    np.testing.assert_allclose(table["draws"].sel(draw=0), 0.5 * table["value"], rtol=1e-12)
-    np.testing.assert_allclose(table["draws"].sel(draw=1), 2.0 * table["value"], rtol=1e-12)
+    for k, factor in enumerate((0.5, 2.0)):
+        np.testing.assert_allclose(table["draws"].sel(draw=k), factor * table["value"], rtol=1e-12)
     with pytest.raises(InputError, match="flown range of airspeed is not known"):
         write_tables(stall(), tmp_path)

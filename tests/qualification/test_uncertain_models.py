@@ -16,18 +16,8 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.qualification import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
-from bayes_aero.qualification.qualify import (
-    BLOCK_SECONDS,
-    OpenTest,
-    Region,
-    Structure,
-    Uncertain,
-    further_flights,
-    nearest,
-    precision_of,
-    qualify,
-    shrunk,
-)
+from bayes_aero.qualification import qualify as job
+from bayes_aero.qualification.qualify import OpenTest, Region, Structure, Uncertain
 from bayes_aero.report.pages.qualification import further_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
@@ -62,10 +52,10 @@ def chance(tests, kind=FlightKind.AGAIN):
     return next(t for t in tests if t.kind is kind)
 
 
-@pytest.mark.parametrize("band", [0.2, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("band", [0.2, 1.0])
 def test_a_constant_error_of_normal_distribution(flown, band):
     """It stays inside +-b with probability 2 Phi(b / sd) - 1, however long the flight."""
-    tests = qualify(flown, None, unknown(flown, np.random.default_rng(1)), {"az": band}).tests
+    tests = job.qualify(flown, None, unknown(flown, np.random.default_rng(1)), {"az": band}).tests
     found = chance(tests)
     exact = 2.0 * norm.cdf(band / SD) - 1.0
     assert found.chance.value == pytest.approx(exact, abs=ERROR)
@@ -85,37 +75,33 @@ def test_white_errors_of_the_structure(flown):
     size = float(np.sqrt(np.mean(errors**2)))
     given = unknown(flown, rng, sd=0.0, hold_out=(errors, np.zeros(1)))
     band = 0.9
-    tests = qualify(flown, None, given, {"az": band}).tests
+    tests = job.qualify(flown, None, given, {"az": band}).tests
     assert chance(tests).chance.value == 1.0  # flown again: the records have no error
     sizes = size / np.sqrt(rng.chisquare(6, 100_000) / 6)  # two manoeuvres show six sizes
     averaged = float(np.mean((2.0 * norm.cdf(band / sizes) - 1.0) ** N))
     assert chance(tests, FlightKind.NEXT).chance.value == pytest.approx(averaged, abs=ERROR + 0.03)
 
 
-def test_the_next_flight_has_its_own_parameters(flown):
-    """Scatter between manoeuvres adds to the estimate's: sqrt(sd^2 + tau^2)."""
+def test_the_next_flight_has_its_own_parameters_unless_flights_left_out_show_none(flown):
+    """Scatter between manoeuvres adds to the estimate's: sqrt(sd^2 + tau^2). Where flights that were left out missed by
+    0.1 alone, parameters that miss by 1.3 are the prior's."""
     rng = np.random.default_rng(3)
     given, wider = unknown(flown, rng), unknown(flown, rng, sd=1.3)
-    tests = qualify(flown, None, Uncertain(given.estimate, given.draws, wider.draws), {"az": 1.0}).tests
-    assert chance(tests, FlightKind.NEXT).chance.value == pytest.approx(2.0 * norm.cdf(1.0 / 1.3) - 1.0, abs=ERROR)
-    assert chance(tests, FlightKind.NEXT).recorded is None
-
-
-def test_scatter_that_flights_left_out_do_not_show_is_not_used(flown):
-    """Left out, flights missed by 0.1; parameters that miss by 1.3 are the prior's."""
-    rng = np.random.default_rng(5)
-    given, wider = unknown(flown, rng, sd=0.0), unknown(flown, rng, sd=1.3)
+    found = job.qualify(flown, None, Uncertain(given.estimate, given.draws, wider.draws), {"az": 1.0})
+    following = chance(found.tests, FlightKind.NEXT)
+    assert following.chance.value == pytest.approx(2.0 * norm.cdf(1.0 / 1.3) - 1.0, abs=ERROR)
+    assert following.recorded is None
     for error, used in ((0.1, False), (2.0, True)):
         left_out = (error * rng.standard_normal((2, N, 1)), np.zeros(1))
-        found = qualify(flown, None, Uncertain(given.estimate, given.draws, wider.draws, left_out), {"az": 1.0})
-        assert found.scattered is used
-    assert qualify(flown, None, given, {"az": 1.0}).scattered is None
+        few = Uncertain(given.estimate, given.draws[:100], wider.draws[:100], left_out)
+        assert job.qualify(flown, None, few, {"az": 1.0}).scattered is used
+    assert job.qualify(flown, None, given, {"az": 1.0}).scattered is None
 
 
 def test_the_same_seed_draws_the_same_flights_with_the_errors_of_a_binomial(flown):
     given = unknown(flown, np.random.default_rng(4), hold_out=(np.ones((2, N, 1)), np.zeros(1)))
     few = Uncertain(given.estimate, given.draws[:100], given.draws[:100], given.hold_out)
-    one, two, other = (qualify(flown, None, few, {"az": 1.0}, seed=seed).tests for seed in (1, 1, 2))
+    one, two, other = (job.qualify(flown, None, few, {"az": 1.0}, seed=seed).tests for seed in (1, 1, 2))
     assert one == two
     assert one != other
     found = Chance.of(300, 400)
@@ -140,7 +126,7 @@ def test_verdicts_need_the_monte_carlo_error_and_the_record():
     assert one(20).chance.verdict is ToleranceVerdict.UNDECIDED
 
 
-DT, PHI = BLOCK_SECONDS, 0.9
+DT, PHI = job.BLOCK_SECONDS, 0.9
 CERTAIN = 10**9
 
 
@@ -220,13 +206,13 @@ FAR = np.array([1e3, 0.5, -1e3])
 
 
 @pytest.mark.parametrize(("points", "sample", "expected"), [
-    *((box(k), x, np.clip(x, -1, 1)) for k in (1, 2, 4, 6) for x in 3.0 * RNG.standard_normal((20, k))),
+    *((box(k), x, np.clip(x, -1, 1)) for k in (1, 2, 6) for x in 3.0 * RNG.standard_normal((2, k))),
     *((np.eye(k), np.zeros(k), np.full(k, 1.0 / k)) for k in (2, 3, 6)),  # the standard simplex, 1/sqrt(k) away
     (np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([1.0, 0.0]), [0.5, 0.5]),  # a segment in the plane
     (np.array([[2.0, 3.0]]), np.array([-1.0, 5.0]), [2.0, 3.0]), (box(3), FAR, [1.0, 0.5, -1.0]),
 ])  # fmt: skip
 def test_the_nearest_point_of_a_hull(points, sample, expected):
-    assert nearest(points, sample) == pytest.approx(expected, abs=1e-6 if sample is FAR else 1e-9)
+    assert job.nearest(points, sample) == pytest.approx(expected, abs=1e-6 if sample is FAR else 1e-9)
 
 
 def channels(**given):
@@ -266,14 +252,14 @@ def constant_error(rng, sd=1.0):
     return errors, OpenTest(FlightKind.NEXT, "stall", "theta", 2.0, by_parameters, rest)
 
 
-@pytest.mark.parametrize("told", [(0.0, 0.0), (1.0, 0.0), (8.0, 0.0), (0.0, 50.0)])
+@pytest.mark.parametrize("information", [(0.0, 0.0), (1.0, 0.0), (0.0, 50.0)])
 @pytest.mark.parametrize("rest", [0.0, 0.7])
-def test_the_probability_with_more_information_is_that_of_a_narrower_normal(told, rest):
-    """sd^2 = 1/(1 + told) + rest^2, and P = 2 Phi(2/sd) - 1; what is known of another parameter changes nothing."""
+def test_the_probability_with_more_information_is_that_of_a_narrower_normal(information, rest):
+    """sd^2 = 1/(1 + I) + rest^2, and P = 2 Phi(2/sd) - 1; what is known of another parameter changes nothing."""
     errors, test = constant_error(np.random.default_rng(3), rest)
-    less = shrunk(errors, np.cov(errors, rowvar=False), np.diag(told))
+    less = job.shrunk(errors, np.cov(errors, rowvar=False), np.diag(information))
     found = test.probability((less - errors) @ test.slope(errors))
-    sd = np.sqrt(1.0 / (1.0 + told[0]) + rest**2)
+    sd = np.sqrt(1.0 / (1.0 + information[0]) + rest**2)
     assert found == pytest.approx(2.0 * norm.cdf(2.0 / sd) - 1.0, abs=0.01)
 
 
@@ -286,7 +272,7 @@ def test_a_record_s_precision_is_that_of_its_own_estimates():
     bread = np.linalg.inv(X.T @ X)
     scale = np.array([2.0, 0.5])
     own = np.linalg.inv(bread @ X.T @ V @ X @ bread)[::-1, ::-1] * np.outer(scale, scale)
-    np.testing.assert_allclose(precision_of(told, ("a", "b"), scale), own, rtol=1e-9)
+    np.testing.assert_allclose(job.precision_of(told, ("a", "b"), scale), own, rtol=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -303,7 +289,7 @@ def test_points_make_a_tolerance_that_parameters_leave_open_pass(simulated, card
     by_parameters = np.repeat(80.0 * errors[:, [model.names.index("CD0")]], SAMPLES, axis=1)
     noise = np.repeat(0.2 * rng.standard_normal((4000, 1)), SAMPLES, axis=1)
     tests = [OpenTest(FlightKind.AGAIN, "stall", "airspeed", 1.5, by_parameters, noise)]
-    found = further_flights(tests, model.names, errors, flights, model, values, card.envelope)
+    found = job.further_flights(tests, model.names, errors, flights, model, values, card.envelope)
     (one,) = found.tests
     assert one.present == pytest.approx(2.0 * norm.cdf(1.5 / np.hypot(1.6, 0.2)) - 1.0, abs=0.03)
     assert one.known == 1.0
@@ -318,7 +304,7 @@ def test_what_the_structure_leaves_open_no_record_decides_and_points_need_accele
     def further(rest, flights):
         errors, test = constant_error(np.random.default_rng(7), rest)
         wide = np.hstack([errors, np.zeros((DRAWS, len(model.names) - 2))])
-        return further_flights([test], model.names, wide, flights, model, values, Envelope())
+        return job.further_flights([test], model.names, wide, flights, model, values, Envelope())
 
     found = further(1.5, flights)
     assert not found.points

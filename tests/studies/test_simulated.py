@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.dynamics.trim import can_simulate
-from bayes_aero.effect import Kind, Stage
+from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.reading import check_record
@@ -18,7 +18,6 @@ from bayes_aero.model.observations import marks, observe
 from bayes_aero.model.records import Forming, with_sums
 from bayes_aero.simulate.demo import TRUTH, Request
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable, hidden_flights, hidden_records, synthetic
-from bayes_aero.study.run import read_study
 
 QUIET = {"noise": "white", "sensor_noise": 0.0}
 CHANNEL = [e.name for e in CATALOGUE.values() if e.stage is Stage.CHANNEL and e.acts_on(FLOWN_AXES)]
@@ -59,7 +58,7 @@ def test_corrected_gives_back_what_was_flown(name, card):
 
 
 @pytest.mark.parametrize(
-    "names", [(), ("mach_moment",), ("cg_shift",), ("separation_lag",), ("thrust_scale", "alpha_scale")]
+    "names", [("mach_moment", "cg_shift"), ("separation_lag",), ("thrust_scale", "alpha_scale")], ids=" ".join
 )
 def test_the_true_model_explains_a_quiet_record(names, card):
     """With every hidden value given, the coefficients of the record are the model's; without it they are not."""
@@ -113,6 +112,8 @@ def test_a_seed_is_a_record():
     assert len({first[0].sha256, other.sha256, plain.sha256}) == 3
     np.testing.assert_array_equal(plain["phi"], first[0]["phi"])
     np.testing.assert_allclose((first[0]["alpha"] - plain["alpha"]), 0.01, atol=1e-12)
+    (short,) = hidden_records({}, seed=4, manoeuvres=1, seconds=30.0)
+    assert short.time[[0, -1]] == pytest.approx([0.0, 30.0])
 
 
 def test_noise_is_what_it_says():
@@ -149,7 +150,6 @@ def test_draws_lie_within_the_stated_sizes():
                 least, most = effect.sizes[key]
                 assert least * (1 - 1e-9) <= abs(value - parameter.neutral) <= most
                 assert parameter.bounds[0] < value < parameter.bounds[1]
-    assert {e.kind for e in CATALOGUE.values()} >= {Kind.MEASUREMENT, Kind.PROPULSION, Kind.MASS}
 
 
 @pytest.mark.parametrize(("hidden", "options", "said"), [
@@ -164,47 +164,25 @@ def test_what_cannot_be_hidden_is_said(hidden, options, said):
         hidden_records(hidden, seed=0, **options)
 
 
-@pytest.mark.parametrize("seconds", [30.0, 100.0])
-def test_length_as_asked(seconds):
-    (record,) = hidden_records({}, seed=0, manoeuvres=1, seconds=seconds)
-    assert record.time[0] == 0.0
-    assert record.time[-1] == pytest.approx(seconds)
+def test_a_flight_that_breaks_down_after_its_record_leaves_the_record_whole():
+    """Simulations are longer than what is kept: this one has no numbers after 31 s, which filters must not spread."""
+    hidden = {"alpha_squared_moment": {"Cma2": 3.0}}
+    (record,) = hidden_records(hidden, seed=0, manoeuvres=1, seconds=20.0)
+    assert all(np.all(np.isfinite(x)) for x in record.channels.values())
+    with pytest.raises(InputError, match="leaves its envelope"):
+        hidden_records(hidden, seed=0, manoeuvres=1, seconds=50.0)
 
 
-@pytest.fixture(scope="module")
-def stalls(card):
-    """The same two stalls' recipes at 25 and 100 Hz."""
-
-    def flown(dt, seed):
-        return synthetic(Request({}, noise="white", seed=seed, dt=dt), card, CATALOGUE, f"s{seed}_{dt}").record
-
-    return {dt: [flown(dt, seed) for seed in (810, 811)] for dt in (0.04, 0.01)}
-
-
-@pytest.mark.parametrize("rates", [(0.04, 0.04), (0.01, 0.01), (0.04, 0.01)])
-def test_the_truth_comes_back_whatever_the_rates(stalls, card, model, rates):
-    records = [stalls[dt][i] for i, dt in enumerate(rates)]
-    truth = np.array([TRUTH[name] for name in model.names])
-    fits = {f: fit_mle(model, observe(records, card, model, f), extra_starts=0) for f in Forming}
-    away = {f: np.abs(fit.estimate - truth) / fit.crb_corrected for f, fit in fits.items()}
-    tau2 = model.names.index("tau2")
-    assert abs(fits[Forming.MATCHED].estimate[tau2] - 20.0) < 0.4
-    assert abs(fits[Forming.PUBLISHED].estimate[tau2] - 20.0) > 0.6
-    assert np.sqrt(np.mean(away[Forming.MATCHED] ** 2)) < 2.0
-    assert np.sqrt(np.mean(away[Forming.PUBLISHED] ** 2)) > 2.0
-
-
-def test_identify_tells_the_common_rate(stalls, card):
-    found = identify([stalls[0.04][0], stalls[0.01][1]], card, IdentifyOptions(sample=False, gp=False))
-    assert any("25 Hz" in note and "100 Hz" in note for note in found.notes)
+def test_the_truth_comes_back_from_records_of_two_rates(card, model):
+    """At the lower one, as `identify` says; the coefficients as published are formed from lags that differ."""
+    asked = [Request({}, noise="white", seed=seed, dt=dt) for seed, dt in ((810, 0.04), (811, 0.01))]
+    records = [synthetic(request, card, CATALOGUE, f"s{request.seed}").record for request in asked]
+    truth, tau2 = np.array([TRUTH[name] for name in model.names]), model.names.index("tau2")
+    found = identify(records, card, IdentifyOptions(sample=False, gp=False))
     assert found.observations.dt == pytest.approx(0.04)
-
-
-def test_a_study_may_ask_for_published_coefficients(tmp_path):
-    (tmp_path / "r.csv").write_text("time\n")
-    text = 'records = ["r.csv"]\n[options]\ncoefficients = "{}"\n'
-    (tmp_path / "s.toml").write_text(text.format("published"))
-    assert read_study(tmp_path / "s.toml").units[0].options["coefficients"] == "published"
-    (tmp_path / "s.toml").write_text(text.format("raw"))
-    with pytest.raises(InputError, match="matched, published"):
-        read_study(tmp_path / "s.toml")
+    assert any("25 Hz" in note and "100 Hz" in note for note in found.notes)
+    published = fit_mle(model, observe(records, card, model, Forming.PUBLISHED), extra_starts=0)
+    matched, other = ((fit.estimate - truth) / fit.crb_corrected for fit in (found.mle, published))
+    assert abs(found.mle.estimate[tau2] - 20.0) < 0.4
+    assert abs(published.estimate[tau2] - 20.0) > 0.6
+    assert rms(matched) < 2.0 < rms(other)

@@ -8,32 +8,15 @@ and constants that do not change between calls are worked out once.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import log_expit
 
 if TYPE_CHECKING:  # a peer's process reads a pickled reference and must not carry the weight of JAX
-    from bayes_aero.flight.card import Card
-    from bayes_aero.model.model import Model
     from bayes_aero.model.observations import Density, Observations
 
 PARAMETERS = ("CL0", "CLa", "CLaM", "Cmde", "Cm0", "Cma", "Cmq", "CD0", "e", "tau2", "a1", "alpha_star", "CDX", "CmX")
-
-
-def load(paths: list[Path]) -> tuple[Card, Model, Observations]:
-    """The ATTAS card, its model, and the records at `paths` (none: the simulated ones of the package)."""
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.flight.reading import read_record
-    from bayes_aero.model.model import Model
-    from bayes_aero.model.observations import observe
-    from bayes_aero.simulate.demo import demo_records
-
-    card = read_card("attas")
-    model = Model.from_card(card)
-    records = [read_record(path, card.channels) for path in paths] if paths else demo_records()
-    return card, model, observe(records, card, model)
 
 
 class Reference:

@@ -35,16 +35,11 @@ class ArdLinear(Kernel):
         return False
 
 
-def to_scikit_learn(theta):
-    """Ours (logs of sds, lengths) to theirs (logs of variances, lengths); the order is the same."""
-    factor = np.full(theta.size, 2.0)
-    factor[(theta.size - 3) // 2 + 2 : -1] = 1.0
-    return factor * theta
-
-
 def from_scikit_learn(log_theirs):
-    """The inverse of `to_scikit_learn`."""
-    return log_theirs / to_scikit_learn(np.ones(log_theirs.size))
+    """Ours (logs of sds, lengths) of theirs (logs of variances, lengths); the order is the same."""
+    factor = np.full(log_theirs.size, 2.0)
+    factor[(log_theirs.size - 3) // 2 + 2 : -1] = 1.0
+    return log_theirs / factor
 
 
 def scikit_learn_model(x, y, theta, optimizer=None, limits=(1e-5, 1e5), lengths=(1e-5, 1e5)):
