@@ -89,6 +89,8 @@ class _Lines(Problem):
         self.point, self.responses, step = point, self.moved, np.zeros(len(point))
         while True:
             solution = solve(residual, np.concatenate([S, offsets], axis=2))
+            if not np.isfinite(solution.cost):
+                return Evaluation(np.inf, step, np.eye(len(point)))
             step[self.free] = solution.step[: S.shape[2]]
             out = self.free & np.any((point[:, None] - self.bounds) * [1, -1] <= 0.0, axis=1)
             out &= np.where(point <= self.bounds[:, 0], step < 0.0, step > 0.0)
@@ -145,8 +147,10 @@ def fit_in_band(
 
 def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> BandStep:
     """Least squares for all columns, with the variances of the outputs that it leaves."""
-    _, _, k = S.shape
+    _, c, k = S.shape
     left, step = residual, np.zeros(k)
+    if not (np.isfinite(residual).all() and np.isfinite(S).all()):  # an unstable system beyond all numbers
+        return BandStep(step, left, np.full(c, np.inf))
     for _ in range(REWEIGHTED):
         R = np.maximum(np.mean(np.square(left), axis=0), EXACT)
         weighted = (S / np.sqrt(R)[:, None]).reshape(residual.size, k)

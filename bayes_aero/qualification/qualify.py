@@ -352,7 +352,8 @@ def _judged(
         passed = np.all(inside, axis=1).sum(axis=0)
         chances[counted] = [qualification.Chance.of(int(k), len(flights)) for k in passed]
     size, tests, still = np.abs(error[keep]), [], []
-    rest = np.nan_to_num(flights - by_parameters, nan=np.inf)
+    with np.errstate(invalid="ignore"):  # draws that diverge
+        rest = np.nan_to_num(flights - by_parameters, nan=np.inf)
     for c, output in enumerate(outputs):
         beside = qualification.RecordBeside(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
         by = {counted: each[c] for counted, each in chances.items()}
