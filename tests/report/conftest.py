@@ -140,9 +140,9 @@ def hyperparameters():
 
 def gp_fit() -> GPFit:
     """A fit that has its hyperparameters' draws and nothing else: all that reports look at."""
-    found = object.__new__(GPFit)
-    object.__setattr__(found, "posterior", hyperparameters())
-    return found
+    fit = object.__new__(GPFit)
+    object.__setattr__(fit, "posterior", hyperparameters())
+    return fit
 
 
 def gaussian_process(o: Observations, errors: Mapping[str, float], mle_error: float = 0.01) -> GPReport:
