@@ -106,7 +106,7 @@ def truncated_and_spliced(suffix, valid):
 
 
 @pytest.mark.parametrize(("suffix", "kind", "share"), [
-    (".asc", words, 2.0), (".csv", words, 2.0),
+    (".asc", words, 1.0), (".csv", words, 1.0),
     *((s, *kind) for s in EXAMPLES for kind in ((random, 0.5), (mutated, 1.0), (truncated_and_spliced, 0.7))),
 ])  # fmt: skip
 def test_bytes(folder, valid, suffix, kind, share):
@@ -125,7 +125,7 @@ def tables():
     return st.tuples(st.integers(1, 70), changes, st.sampled_from([1.0, 1e-300, 1e300, -1.0, 0.0]))
 
 
-@pytest.mark.parametrize("suffix", sorted(WRITERS.keys() & EXAMPLES))
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".parquet"])
 def test_random_tables(folder, suffix):
     @examples(suffix, 0.5)
     @given(tables(), st.none() | st.sampled_from([0.04, 0.01, 0.1, 1e-9]))

@@ -92,10 +92,8 @@ def test_a_stretch_of_time_fills_its_panels(fresh):
     fresh.locator("#plot-0").scroll_into_view_if_needed()
     browsing.drag(fresh, "#plot-0", 0.8, 0.9)
     # Bokeh redraws when the browser has time for it.
-    closer = (
-        f"whole => ({browsing.HEIGHTS})().some(([bottom, top], i) => top - bottom < 0.5 * (whole[i][1] - whole[i][0]))"
-    )
-    fresh.wait_for_function(f"whole => ({browsing.HEIGHTS})().{closer}", arg=whole)
+    closer = f"({browsing.HEIGHTS})().some(([bottom, top], i) => top - bottom < 0.5 * (whole[i][1] - whole[i][0]))"
+    fresh.wait_for_function(f"whole => {closer}", arg=whole)
     heights, seen = fresh.evaluate(browsing.HEIGHTS), fresh.evaluate(browsing.SEEN)
     for (bottom, top), (a, b), (low, high) in zip(heights, whole, seen, strict=True):
         assert bottom <= low <= high <= top
