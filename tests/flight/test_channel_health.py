@@ -84,12 +84,10 @@ def calibrated(record):
 
 UNLIKE = [  # km/h and ft/s are ten per cent apart, knots and mph fifteen
     ("airspeed", 1.0 / KNOT, "kt"), ("airspeed", 3.6, "km/h"), ("airspeed", 1.0 / 0.44704, "mph"),
-    ("airspeed", 1.0 / FOOT, "ft/s"), ("altitude", 1.0 / FOOT, "ft"), ("q", DEG, "rad/s"), ("phi", DEG, "rad"),
-    ("alpha", DEG, "rad"), ("az", 1.0 / G, "g"),
+    ("airspeed", 1.0 / FOOT, "ft/s"), ("altitude", 1.0 / FOOT, "ft"), ("q", DEG, "rad/s"), ("alpha", DEG, "rad"),
 ]  # fmt: skip
 FORCE = ("ax", "ay", "az")
-DROPS = {"alpha": 0.0, "altitude": 30479.695, "airspeed": 0.01, "p": 3.0}
-HELD = [("alpha", 3), ("elevator", 5), ("q", 8)]
+DROPS = {"alpha": 0.0, "altitude": 30479.695, "p": 3.0}
 
 
 def still(record, name):
@@ -108,32 +106,32 @@ def without_gravity(record, *names):
 
 
 FAULTS = {  # of a flight with these arguments: its fault, its channel, what stands there, words of the sentence
-    **{f"{n} in {u}": ({"seed": k % 3}, "unit", n, lambda r, n=n, x=x: x * r[n], f'unit = "{u}"')
+    **{f"{n} in {u}": ({"seed": k % 3, "seconds": 30.0}, "unit", n, lambda r, n=n, x=x: x * r[n], f'unit = "{u}"')
        for k, (n, x, u) in enumerate(UNLIKE)},
-    **{f"forces in {u}": ({"seed": k}, "unit", "ax", lambda r, x=x: {n: r[n] / x for n in FORCE}, f'unit = "{u}"')
-       for k, (u, x) in enumerate((("g", G), ("ft/s^2", FOOT)))},
-    "no gravity in ax": ({"seed": 3}, "gravity", "ax", lambda r: without_gravity(r, "ax"), ""),
-    "no gravity": ({"seed": 3}, "gravity", None, lambda r: without_gravity(r, *FORCE), ""),
-    "one g less, in g": ({"seed": 3}, "gravity", "az", lambda r: {
+    "forces in g": ({"seconds": 30.0}, "unit", "ax", lambda r: {n: r[n] / G for n in FORCE}, 'unit = "g"'),
+    "no gravity in ax": ({"seed": 3, "seconds": 30.0}, "gravity", "ax", lambda r: without_gravity(r, "ax"), ""),
+    "no gravity": ({"seed": 3, "seconds": 30.0}, "gravity", None, lambda r: without_gravity(r, *FORCE), ""),
+    "one g less, in g": ({"seed": 3, "seconds": 30.0}, "gravity", "az", lambda r: {
         "ax": r["ax"] / G, "ay": r["ay"] / G, "az": -(r["az"] / G + 1.0)}, ""),
     **{f"{n} drops out": ({"seed": 5, "bank": 0.1}, "dropout", n, lambda r, n=n, x=x: dropped(r[n], x), "20 of 1501")
        for n, x in DROPS.items()},
     "a second drops out": ({"seed": 5}, "dropout", "alpha", lambda r: put(r["alpha"], slice(500, 525), -0.5), ""),
-    **{f"{n} held for {k} samples": ({"seed": 7, "dt": 0.02}, "held", n, lambda r, n=n, k=k: held(r[n], k),
-                                     f"true rate is {50.0 / k:.3g} Hz") for n, k in HELD},
-    "held at a rate that is no divisor": ({"seed": 9, "dt": 0.02}, "held", "q", lambda r: r["q"][
+    **{f"{n} held for {k} samples": (
+        {"seed": 7, "dt": 0.02, "seconds": 30.0}, "held", n, lambda r, n=n, k=k: held(r[n], k),
+        f"true rate is {50.0 / k:.3g} Hz") for n, k in (("alpha", 3), ("q", 8))},
+    "held at a rate that is no divisor": ({"seed": 9, "dt": 0.02, "seconds": 30.0}, "held", "q", lambda r: r["q"][
         (np.floor(r.time * 15.0 + 1e-9) / 15.0 / 0.02).round().astype(int)], ""),
     **{f"interpolated from {x} Hz": (
         {"seed": 8, "dt": dt, "seconds": seconds}, "held", "alpha", lambda r, x=x: interpolated(r, "alpha", x),
         f"linearly interpolated over {1.0 / x / dt:.3g} samples: the true rate is {x:.3g} Hz",
-    ) for x, dt, seconds in ((12.5, 0.02, 60.0), (2.0, 0.02, 15.0), (1.0, 0.01, 60.0))},
-    "calibrated airspeed": ({"seed": 4, "altitude": 6000.0}, "airspeed_kind", "airspeed", calibrated, ""),
+    ) for x, dt, seconds in ((12.5, 0.02, 30.0), (2.0, 0.02, 15.0))},
+    "calibrated airspeed": (
+        {"seed": 4, "seconds": 30.0, "altitude": 6000.0}, "airspeed_kind", "airspeed", calibrated, ""),
     "elevator trailing edge up": ({"seed": 12}, "sign", "elevator", lambda r: -r["elevator"], "sign = -1 at elevator"),
     "altitude counts downward": ({}, "sign", "altitude", lambda r: 8000.0 - r["altitude"], "altitude"),
     **{f"{n} frozen": ({"seed": 6}, "frozen", n, lambda r, n=n: still(r, n), "")
-       for n in ("alpha", "q", "airspeed", "az", "elevator")},
-    **{f"rounded {n} frozen": ({"seed": 6, "digits": POOR}, "frozen", n, lambda r, n=n: still(r, n), "")
-       for n in ("theta", "airspeed")},
+       for n in ("alpha", "airspeed", "elevator")},
+    "rounded theta frozen": ({"seed": 6, "digits": POOR}, "frozen", "theta", lambda r: still(r, "theta"), ""),
     "q cut off": ({"seed": 10}, "saturated", "q", cut_off, ""),
     "rounded q cut off": ({"seed": 10, "digits": {"q": 0.1 * DEG}}, "saturated", "q", cut_off, ""),
 }  # fmt: skip
@@ -254,7 +252,7 @@ def copied(record, name, first=0, last=None, every=1, digits=0.0):
 
 
 @pytest.mark.parametrize("copy", [
-    {}, {"first": 300, "last": 900}, {"first": 300, "last": 900, "digits": 1e-5}, {"digits": 2e-2},
+    {}, {"first": 300, "last": 900, "digits": 1e-5}, {"digits": 2e-2},
     {"every": 5, "digits": 1e-3},
 ])  # fmt: skip
 def test_a_copy_of_a_part_with_fewer_digits_or_at_a_part_of_the_rate_is_no_new_flight(copy):
@@ -271,13 +269,13 @@ def test_records_that_begin_as_another_ends_and_records_of_two_rates():
     assert grave(record, changed(other, "other")) == []
     end, begin = copied(record, "end", record.n - 400), copied(other, "begin", last=600)
     assert ("same_record", "record") in grave(record, after(end.channels, begin))
-    (finding,) = [f for f in channel_health([flight(19), changed(flight(20, 0.01), "fast")], card()) if f.grave]
+    (finding,) = [f for f in channel_health([flight(19), changed(flight(20, 0.01, 20.0), "fast")], card()) if f.grave]
     assert finding.fault == "rates"
     assert "25 Hz" in finding.sentence
     assert "100 Hz" in finding.sentence
 
 
-@pytest.mark.parametrize("seconds", [2.4, 2.96, 3.0, 4.76, 8.0])
+@pytest.mark.parametrize("seconds", [2.4, 2.96, 4.76, 8.0])
 def test_a_record_must_cover_what_the_aircraft_does_and_more_is_needed_than_there_is(seconds):
     """120 chords of 2 m at some 80 m/s are 3 s; 30 samples of 0.04 s are a quarter of 4.8 s."""
     findings = [f for f in channel_health([flight(21, seconds=seconds)], card()) if f.fault == "short" and f.grave]

@@ -413,8 +413,8 @@ def test_mdf_with_two_rates():
     assert both["other"].unit is None
 
 
-def test_mdf_conversions_byte_order_and_invalid_samples():
-    counts = np.arange(25)
+def test_mdf_conversions_byte_order_invalid_samples_and_formulas_that_are_not_run(tmp_path):
+    counts, trace = np.arange(25), tmp_path / "trace"
     gear = {f"val_{k}": k for k in range(2)} | {f"text_{k}": f"position {k}".encode() for k in range(2)}
     signals = {
         "linear": {"samples": counts.astype("u1"), "conversion": {"a": 0.5, "b": -1.0}},
@@ -422,20 +422,17 @@ def test_mdf_conversions_byte_order_and_invalid_samples():
         "motorola": {"samples": counts.astype(">f4") / 4},
         "gaps": {"samples": counts.astype(float), "invalidation_bits": counts == 7},
     }
-    opened = open_mdf(measured(*(asammdf.Signal(timestamps=SLOW, name=name, **x) for name, x in signals.items())))
+    formula = {"formula": f"__import__('pathlib').Path('{trace}').touch() or X1"}
+    evil = asammdf.Signal(counts, SLOW, name="evil", conversion=formula)
+    sound = (asammdf.Signal(timestamps=SLOW, name=name, **x) for name, x in signals.items())
+    opened = open_mdf(measured(evil, *sound))
+    assert "evil" not in names_of(opened)
+    assert any("'evil' is left out" in remark for remark in opened.remarks)
+    assert not trace.exists()
     columns = values_of(opened, time="time", **{name: name for name in signals})
     np.testing.assert_allclose(columns["time"].values, SLOW, rtol=1e-15)
     gaps = np.where(counts == 7, np.nan, counts)
     hold(columns, linear=0.5 * counts - 1.0, gear=counts % 2, motorola=counts / 4, gaps=gaps)
-
-
-def test_formulas_of_an_mdf_file_are_not_run(tmp_path):
-    trace = tmp_path / "trace"
-    formula = {"formula": f"__import__('pathlib').Path('{trace}').touch() or X1"}
-    opened = open_mdf(measured(asammdf.Signal(np.arange(25), SLOW, name="evil", conversion=formula)))
-    assert "evil" not in names_of(opened)
-    assert any("'evil' is left out" in remark for remark in opened.remarks)
-    assert not trace.exists()
 
 
 # ULog

@@ -19,7 +19,7 @@ from bayes_aero.flight.record import WRITERS
 from bayes_aero.units import to_si
 
 # .nc starts a process for each file, so it gets fewer examples; its time limit stands in for the deadline.
-EXAMPLES = {".asc": 150, ".csv": 150, ".mat": 150, ".parquet": 150, ".nc": 12, "classic.nc": 100}
+EXAMPLES = {".asc": 100, ".csv": 100, ".mat": 100, ".parquet": 100, ".nc": 12, "classic.nc": 60}
 MAGIC = {
     ".mat": b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM", ".parquet": b"PAR1", ".nc": b"\x89HDF\r\n\x1a\n",
     "classic.nc": b"CDF\1",
