@@ -4,6 +4,7 @@ import io
 import struct
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openpyxl
@@ -49,7 +50,7 @@ def written(path: Path, record: FlightRecord) -> Path:
     return path
 
 
-def refused(path: Path, channels, *words: str, **options: object) -> str:
+def refused(path: Path, channels, *words: str, **options: Any) -> str:
     """The message that reading `path` ends in; it must begin with the file and contain all the words."""
     with pytest.raises(InputError) as caught:
         read_record(path, channels, **options)
@@ -64,7 +65,7 @@ def refused(path: Path, channels, *words: str, **options: object) -> str:
 def workbook(*sheets) -> bytes:
     """(title, rows) of each sheet."""
     book = openpyxl.Workbook()
-    book.remove(book.active)
+    del book["Sheet"]
     for title, rows in sheets:
         sheet = book.create_sheet(title)
         for row in rows:

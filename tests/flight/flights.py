@@ -3,6 +3,7 @@
 import json
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,7 +81,7 @@ def flight(seed=0, dt=0.04, seconds=60.0, noise=1.0, altitude=4000.0, bank=0.4, 
     return FlightRecord.from_arrays("flight", t, recorded)
 
 
-def changed(record: FlightRecord, name="flight", without=(), **channels) -> FlightRecord:
+def changed(record: FlightRecord, name: Any = "flight", without: Any = (), **channels) -> FlightRecord:
     """The record with other channels (or time)."""
     kept = {k: x for k, x in record.channels.items() if k not in without}
     time = channels.pop("time", record.time)

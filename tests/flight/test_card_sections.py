@@ -265,6 +265,7 @@ def test_a_wrong_entry_is_one_sentence(text, edit, words):
 
 def test_a_linear_card_needs_neither_aircraft_nor_effects_nor_alpha():
     card = card_of(SHORT_PERIOD)
+    assert card.linear is not None
     assert card.effects == ()
     assert np.isnan(card.aircraft.mass)  # nothing computed from it could pass for a number
     assert card.linear.inputs == ("elevator",)

@@ -281,7 +281,7 @@ def test_a_record_must_cover_what_the_aircraft_does_and_more_is_needed_than_ther
     findings = [f for f in channel_health([flight(21, seconds=seconds)], card()) if f.fault == "short" and f.grave]
     assert bool(findings) == (seconds < 4.8)
     for finding in findings:
-        has, needed = re.search(r"too short: ([\d.]+) s, and ([\d.]+) s are needed", finding.sentence).groups()
+        has, needed = re.findall(r"too short: ([\d.]+) s, and ([\d.]+) s are needed", finding.sentence)[0]
         assert float(has) < float(needed)
 
 
@@ -394,8 +394,8 @@ def test_a_wing_leveller_with_an_integral_is_known_by_the_roll_rate_alone(pilot)
         rows.append((p + 4e-4 * rng.standard_normal(), aileron + 2e-4 * rng.standard_normal()))
         wind += -0.5 * dt * wind + 0.3 * np.sqrt(dt) * rng.standard_normal()
         total, phi, p = total + dt * phi, phi + dt * p, p + dt * (-2.0 * p - 8.0 * aileron + wind)
-    channels = dict(zip(("p", "aileron_left"), np.transpose(rows), strict=True))
-    record = FlightRecord.from_arrays("rolling", time, channels)
+    rolling, surface = np.transpose(rows)
+    record = FlightRecord.from_arrays("rolling", time, {"p": rolling, "aileron_left": surface})
     assert [f.channel for f in feedback([record], read_card("lateral"))] == ["aileron_left"] * (pilot == 0.0)
 
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock, patch
 
 import asammdf
@@ -215,7 +216,7 @@ def test_packed_netcdf_stands_for_its_numbers(tmp_path, classic):
         with h5py.File(path, "w") as file:
             for i, (x, about, _) in enumerate(PACKED):
                 file.create_dataset(f"v{i}", data=x, dtype=x.dtype.newbyteorder(">")).attrs.update(about)
-    read = {column.label: column.values for column in read_raw(path).columns}
+    read: Any = {column.label: column.values for column in read_raw(path).columns}
     for i, (_, about, right) in enumerate(PACKED):
         np.testing.assert_allclose(read[f"v{i}"], right, rtol=1e-14, err_msg=str(about))
 
@@ -288,7 +289,7 @@ def values_of(opened, **labels):
     return opened.read(located(channels, opened))
 
 
-def hold(columns, place=slice(None), **expected):
+def hold(columns, place: Any = slice(None), **expected):
     """The columns have these numbers there."""
     for name, values in expected.items():
         np.testing.assert_array_equal(columns[name].values[place], values, err_msg=name)
@@ -422,7 +423,7 @@ def test_mdf_conversions_byte_order_invalid_samples_and_formulas_that_are_not_ru
         "motorola": {"samples": counts.astype(">f4") / 4},
         "gaps": {"samples": counts.astype(float), "invalidation_bits": counts == 7},
     }
-    formula = {"formula": f"__import__('pathlib').Path('{trace}').touch() or X1"}
+    formula: Any = {"formula": f"__import__('pathlib').Path('{trace}').touch() or X1"}
     evil = asammdf.Signal(counts, SLOW, name="evil", conversion=formula)
     sound = (asammdf.Signal(timestamps=SLOW, name=name, **x) for name, x in signals.items())
     opened = open_mdf(measured(evil, *sound))

@@ -271,5 +271,6 @@ def test_a_starter_card_passes_on_its_own_file(tmp_path, suffix):
     assert [units[name] for name in ("alpha", "airspeed", "altitude", "thrust")] == ["deg", "kt", "ft", "lbf"]
     looked = inspect_record(path, card)
     assert looked.problems == ()
+    assert looked.record is not None
     for name in true.names:
         np.testing.assert_allclose(looked.record[name], true[name], rtol=1e-6, atol=1e-7 * np.ptp(true[name]))

@@ -153,7 +153,7 @@ CARD = parse_card(TABLE, "own", "own.toml")
 def test_a_sample_written_twice_counts_once(tmp_path):
     """Samples 30 and 77 of 120 stand in the file twice, the second with a missing value."""
     rows = np.sort(np.r_[np.arange(120), 30, 77, 77])
-    columns = {name: x[rows] for name, x in (sound().channels | {"q": put(sound()["q"], 77, np.nan)}).items()}
+    columns = {name: x[rows] for name, x in {**sound().channels, "q": put(sound()["q"], 77, np.nan)}.items()}
     path = written(tmp_path / "doubled.csv", sound(len(rows), **columns | {"time": sound().time[rows]}))
     record = read_record(path, CHANNELS, resample=0.04)
     np.testing.assert_allclose(record.time, 0.04 * np.arange(120), atol=1e-9)

@@ -1,6 +1,7 @@
 """Text files as loggers write them, and as nobody should: read alike, or refused in words that help."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -215,8 +216,8 @@ def test_clock_times(cells, expected):
 
 def test_time_as_a_date(tmp_path):
     frame = table(tmp_path)
-    stamps = pd.Timestamp("2024-05-06 23:59:58") + pd.to_timedelta(frame[LABELS[0]], unit="s")
-    frame[LABELS[0]] = stamps.dt.strftime("%d.%m.%Y %H:%M:%S.%f")
+    stamps: Any = pd.Timestamp("2024-05-06 23:59:58") + pd.to_timedelta(frame[LABELS[0]].to_numpy(), unit="s")
+    frame[LABELS[0]] = stamps.strftime("%d.%m.%Y %H:%M:%S.%f")
     frame.to_csv(tmp_path / "a.csv", index=False)
     record = read_record(tmp_path / "a.csv", CHANNELS)
     np.testing.assert_allclose(record.time, sound().time, atol=1e-6)

@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,7 +104,8 @@ def test_parameters_are_those_of_every_method(full):
 
 
 def test_what_a_record_or_sampler_does_not_show_is_said(full):
-    (table, warning) = stall_table({"emcee": full.stall}, "")
+    blocks: Any = stall_table({"emcee": full.stall}, "")
+    table, warning = blocks
     assert full.stall.at_edge == 1.0  # lift without separation only rises
     assert table.rows[0][1].startswith("at least")
     assert table.rows[0][2] == "not shown by this record"
@@ -214,7 +216,7 @@ def context(sentences=("The fit converged.", "A finding."), **more):
     return PageContext(CARD, records(), provenance(CARD, records(), 0, {"windows": 12.0}), {}, result)
 
 
-def blocks_of(page, key):
+def blocks_of(page, key) -> Any:
     return next(s.blocks for s in page.sections if s.key == key)
 
 
@@ -322,11 +324,11 @@ def test_a_page_that_fails_is_reported_and_costs_no_number(tmp_path, monkeypatch
     monkeypatch.setattr(job, "output_error_fit", lambda *_, **__: flown)
     with monkeypatch.context() as patch:
         patch.setattr(job, "fly_page", fails)
-        result = job.fly(records(), CARD, out=tmp_path, figures=False)
+        result = job.fly(records(), CARD, out=tmp_path, figures=False)  # pyright: ignore[reportCallIssue]
     assert result.failures[-1].startswith("report.html was not written: ValueError: no such luck")
     assert json.loads((tmp_path / RESULTS).read_text())["failures"] == list(result.failures)
     assert not (tmp_path / "report.html").exists()
-    result = job.fly(records(), CARD, out=tmp_path, figures=False)
+    result = job.fly(records(), CARD, out=tmp_path, figures=False)  # pyright: ignore[reportCallIssue]
     assert (result.notes, result.failures) == ((), ())
     assert not (tmp_path / "error.txt").exists()  # of the run before
     assert "The fit converged;" in (tmp_path / "report.html").read_text()
@@ -381,7 +383,7 @@ def test_the_verdict_of_diagnoses_counts_verdicts_and_names_the_commonest_cause(
 def test_units_that_failed_or_are_in_doubt_are_named_with_their_reason(tmp_path):
     page = study_page(study_context(tmp_path, failed=(4,)))
     assert page.verdict.startswith(f"{N - 1} of {N} units are done (1 failed); all converged; ")
-    (units,) = next(s.blocks for s in page.sections if s.key == "units")
+    (units,) = blocks_of(page, "units")
     assert units.rows[0][:3] == ("flight5-<b>", "5", "failed")
     assert units.rows[0][-2] == "no samples"
     assert [row[1] for row in units.rows[1:]] == [str(k) for k in (1, 2, 3, 4, 6, 7)]
@@ -404,7 +406,7 @@ def test_a_study_in_which_nothing_was_done_has_a_page_and_a_large_one_says_what_
     assert page.lead == ()
     assert put_page(lambda: page, tmp_path) == ()
     page = study_page(study_context(tmp_path, n=MOST_UNITS + 30))
-    (units,) = next(s.blocks for s in page.sections if s.key == "units")
+    (units,) = blocks_of(page, "units")
     assert len(units.rows) == MOST_UNITS
     assert "30 more" in units.note
     assert len(render(page)) < 1_000_000

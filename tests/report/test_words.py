@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from string import Formatter
 from types import SimpleNamespace
+from typing import Any
 
 import jsonschema
 import numpy as np
@@ -254,7 +255,7 @@ def test_a_message_has_a_key_a_severity_a_text_and_what_to_do():
     assert {message["severity"] for message in WORDS["messages"].values()} == {"finding", "doubt", "error"}
     assert not set(WORDS["messages"]) & set(WORDS["sentences"])
     bound = {"b": SimpleNamespace(name="CL0"), "side": "lower", "bound": "0", "unit": "", "free": "-1", "moves": ""}
-    message = phrases.sentence("at_bound", **bound)
+    message: Any = phrases.sentence("at_bound", **bound)
     assert (message.key, message.severity, message.do) == ("at_bound", "doubt", "Widen the bound, or fix CL0.")
     assert message.startswith("CL0 is at its lower bound, 0")
     assert message.endswith(message.do)
@@ -341,7 +342,7 @@ def test_a_fit_that_may_come_nearer_or_stands_under_feedback_is_reported():
     flown = replace(flight().flown, following=("elevator",))
     doubt = "converged, but feedback and aircraft cannot be parted (elevator)"
     assert doubt in fly_sentences(flown)[0]
-    assert doubt in parameter_table(flown).terminal_title
+    assert doubt in str(parameter_table(flown).terminal_title)
     # A single manoeuvre of some seconds is too short for diagnose.
     (text,) = disagreement_sentences([result.Disagreement("CLa", "1/rad", (4.3, 0.1), (3.4, 0.1), 6.4)], "too short")
     assert "diagnose" not in text
