@@ -16,5 +16,5 @@ def examples(count: float, seconds: float | None = 5.0) -> settings:
         derandomize=FACTOR == 1.0,
         database=None,
         phases=[Phase.explicit, Phase.generate, Phase.shrink],
-        suppress_health_check=list(HealthCheck),
+        suppress_health_check=list(HealthCheck),  # pyright: ignore[reportArgumentType]
     )

@@ -1,9 +1,10 @@
-"""Small sound records, what is said of bad ones, and bytes of flight logs by the published specifications."""
+"""Small sound records, how bad ones are refused, and bytes of flight logs by the published specifications."""
 
 import io
 import struct
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openpyxl
@@ -12,9 +13,9 @@ import pytest
 from bayes_aero.errors import InputError, plain_line
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.reading import read_record
-from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.record import FlightRecord, write_record
 
-# A small sound record, the card's channels for it, and what is said of a bad one
+# A small sound record, the card's channels for it, and how a bad one is refused
 CHANNELS = (
     Channel("time", "s", "T", 1), Channel("alpha", "deg", "ALCG", 2), Channel("q", "deg/s", "QRGY", 3),
     Channel("airspeed", "kt", "VTAS", 4), Channel("density", "kg/m^3", "RHO", 5),
@@ -43,15 +44,20 @@ def sound(n: int = 120, **changed: np.ndarray) -> FlightRecord:
     return FlightRecord.from_arrays("sound", channels.pop("time"), channels)
 
 
-def told(path: Path, channels, *words: str, **options: object) -> str:
+def written(path: Path, record: FlightRecord) -> Path:
+    """The file with the record's channels of the card."""
+    write_record(record, path, CHANNELS)
+    return path
+
+
+def refused(path: Path, channels, *words: str, **options: Any) -> str:
     """The message that reading `path` ends in; it must begin with the file and contain all the words."""
     with pytest.raises(InputError) as caught:
         read_record(path, channels, **options)
     message = str(caught.value)
     assert message.startswith(f"{plain_line(str(path))}: ")
     assert "\n" not in message
-    for word in words:
-        assert word in message, f"{word!r} is not in {message!r}"
+    assert [word for word in words if word not in message] == [], message
     return message
 
 
@@ -59,7 +65,7 @@ def told(path: Path, channels, *words: str, **options: object) -> str:
 def workbook(*sheets) -> bytes:
     """(title, rows) of each sheet."""
     book = openpyxl.Workbook()
-    book.remove(book.active)
+    del book["Sheet"]
     for title, rows in sheets:
         sheet = book.create_sheet(title)
         for row in rows:
@@ -70,14 +76,7 @@ def workbook(*sheets) -> bytes:
 
 
 def ulog(topics, start: int = 0, dropout_ms: int | None = None) -> bytes:
-    """A PX4 ULog file of version 1 (docs.px4.io, ULog File Format).
-
-    Args:
-        topics: (name, multi_id, fields, stamps, rows): fields as in "float x", stamps in µs, and a row of packed
-            values for each of them.
-        start: time stamp of the header, µs.
-        dropout_ms: duration of a dropout message.
-    """
+    """A PX4 ULog file, version 1 (docs.px4.io): topics of (name, multi_id, fields, stamps in µs, packed rows)."""
 
     def message(kind: str, content: bytes) -> bytes:
         return struct.pack("<HB", len(content), ord(kind)) + content
@@ -103,32 +102,27 @@ WIDTHS = {"Q": "Q", "B": "B", "b": "b", "f": "f", "c": "h", "L": "i", "d": "d", 
 
 
 def dataflash(kinds, messages, units=(), multipliers=(), meanings=()) -> bytes:
-    """A binary DataFlash log (ArduPilot, libraries/AP_Logger/LogStructure.h).
+    """A binary DataFlash log (ArduPilot, LogStructure.h): messages of (type, values as stored) in their order.
 
-    Args:
-        kinds: {type: (name, format, columns)}.
-        messages: (type, values) in their order, values as stored.
-        units: of UNIT messages, (letter, label).
-        multipliers: of MULT messages, (letter, factor).
-        meanings: of FMTU messages, (type, letters of units, letters of multipliers).
+    kinds: {type: (name, format, columns)}; units and multipliers by letter; meanings: their letters for each type.
     """
-    own = {
+    about = {
         128: ("FMT", "BBnNZ", "Type,Length,Name,Format,Columns"), 176: ("UNIT", "QbZ", "TimeUS,Id,Label"),
         177: ("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds"), 178: ("MULT", "Qbd", "TimeUS,Id,Mult"),
     }  # fmt: skip
-    layouts = {kind: "<" + "".join(WIDTHS[c] for c in form) for kind, (_, form, _) in (own | kinds).items()}
+    layouts = {kind: "<" + "".join(WIDTHS[c] for c in form) for kind, (_, form, _) in (about | kinds).items()}
 
     def message(kind: int, *values) -> bytes:
         return struct.pack("<BBB", 0xA3, 0x95, kind) + struct.pack(layouts[kind], *values)
 
     out = [
         message(128, kind, struct.calcsize(layouts[kind]) + 3, name.encode(), form.encode(), columns.encode())
-        for kind, (name, form, columns) in (own | kinds).items()
+        for kind, (name, form, columns) in (about | kinds).items()
     ]
     start = min((values[0] for _, values in messages), default=0)
     out += [message(176, start, ord(letter), label.encode()) for letter, label in units]
     out += [message(178, start, ord(letter), factor) for letter, factor in multipliers]
-    out += [message(177, start, kind, one.encode(), other.encode()) for kind, one, other in meanings]
+    out += [message(177, start, kind, *(letters.encode() for letters in both)) for kind, *both in meanings]
     return b"".join([*out, *(message(kind, *values) for kind, values in messages)])
 
 

@@ -1,11 +1,19 @@
 """A flight from rigid-body kinematics alone, so that every channel agrees with every other, and sensors with noise."""
 
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+import pytest
 
 from bayes_aero.flight.card import parse_card
 from bayes_aero.flight.record import FlightRecord
 
-G = 9.80665
+BOOK = Path(__file__).parents[2].parent / "shared" / "book"
+needs_book = pytest.mark.skipif(not BOOK.is_dir(), reason="the records of the book are not in ../shared/book")
+G, DEG, KNOT, FOOT = 9.80665, np.pi / 180.0, 1852.0 / 3600.0, 0.3048
 NOISE = {
     "ax": 0.03, "ay": 0.03, "az": 0.06, "p": 4e-4, "q": 4e-4, "r": 4e-4, "phi": 3e-4, "theta": 3e-4, "psi": 3e-4,
     "alpha": 9e-4, "beta": 9e-4, "airspeed": 0.15, "altitude": 0.4, "elevator": 3e-4,
@@ -18,9 +26,15 @@ UNITS = {
 
 def card(**changes):
     """Of an aircraft with these channels; `changes` are whole tables of [channels], or other sections."""
+    return _card(json.dumps(changes))
+
+
+@cache
+def _card(changes):
+    changes = json.loads(changes)
     sections = {key: changes.pop(key) for key in ("constants",) if key in changes}
     channels = {name: {"unit": unit} for name, unit in UNITS.items()} | {"time": {"unit": "s"}} | changes
-    channels = {name: {"label": name, **said} for name, said in channels.items()}
+    channels = {name: {"label": name, **entry} for name, entry in channels.items()}
     aircraft = {
         "mass": "5700 kg", "Ix": "9000 kg m^2", "Iy": "14000 kg m^2", "Iz": "20000 kg m^2", "Ixz": "0 kg m^2",
         "wing_area": "28 m^2", "chord": "2 m", "half_span": "7 m", "aspect_ratio": 7.0, "tail_arm": "7 m",
@@ -61,13 +75,13 @@ def flight(seed=0, dt=0.04, seconds=60.0, noise=1.0, altitude=4000.0, bank=0.4, 
     elevator = (-4.0 * (alpha - 0.12) - 2.0 * q - rate(q)) / 6.0
     true = {"ax": ax, "ay": ay, "az": az, "p": p, "q": q, "r": r, "phi": phi, "theta": theta, "psi": psi}
     true |= {"alpha": alpha, "beta": beta, "airspeed": V, "altitude": h, "elevator": elevator}
-    found = {k: x + noise * NOISE[k] * rng.standard_normal(n) for k, x in true.items()}
+    recorded = {k: x + noise * NOISE[k] * rng.standard_normal(n) for k, x in true.items()}
     for name, digit in (digits or {}).items():
-        found[name] = np.round(found[name] / digit) * digit
-    return FlightRecord.from_arrays("flight", t, found)
+        recorded[name] = np.round(recorded[name] / digit) * digit
+    return FlightRecord.from_arrays("flight", t, recorded)
 
 
-def changed(record: FlightRecord, name="flight", without=(), **channels) -> FlightRecord:
+def changed(record: FlightRecord, name: Any = "flight", without: Any = (), **channels) -> FlightRecord:
     """The record with other channels (or time)."""
     kept = {k: x for k, x in record.channels.items() if k not in without}
     time = channels.pop("time", record.time)

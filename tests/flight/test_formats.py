@@ -4,12 +4,12 @@ import datetime
 import hashlib
 import io
 import os
-import pickle
 import struct
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock, patch
 
 import asammdf
@@ -18,10 +18,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from flight_samples import CHANNELS, dataflash, remap, sound, spoilt, told, ulog, workbook
-from scipy.io import netcdf_file, savemat
+from flight_samples import CHANNELS, dataflash, refused, remap, sound, spoilt, ulog, workbook, written
+from scipy.io import savemat
 
-from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
 from bayes_aero.flight import binary
 from bayes_aero.flight.channel import Channel
@@ -37,67 +36,85 @@ TWO = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))
 NAMED = (".csv", ".mat", ".parquet", ".nc")
 
 
-def written(folder: Path, record: FlightRecord, suffix: str = ".csv") -> Path:
-    path = folder / f"flight{suffix}"
-    write_record(record, path, CHANNELS)
-    return path
-
-
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_round_trip(tmp_path, suffix):
     record = sound()
-    back = read_record(written(tmp_path, record, suffix), CHANNELS)
+    back = read_record(written(tmp_path / f"flight{suffix}", record), CHANNELS)
     assert back.name == "flight"
     assert back.names == record.names
     for name in record.names:
         np.testing.assert_allclose(back[name], record[name], rtol=4e-16, atol=1e-18)
 
 
-def test_formats_are_listed_and_tested():
-    assert set(SUFFIXES.split()) == set(READERS) - {".tsv", ".txt", ".dat"}  # variants of .csv and .asc
-    assert set(FORMATS) == set(READERS) - {".tsv", *OPENERS}
-
-
 def test_provenance_and_case_of_suffix(tmp_path):
-    path = written(tmp_path, sound()).rename(tmp_path / "flight.CSV")
+    path = written(tmp_path / "flight.csv", sound()).rename(tmp_path / "flight.CSV")
     record = read_record(str(path), CHANNELS)
-    assert record.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert record.source == str(path)
-
-
-# The file itself
+    assert (record.source, record.sha256) == (str(path), hashlib.sha256(path.read_bytes()).hexdigest())
 
 
 def test_paths_that_are_no_files(tmp_path, monkeypatch):
-    path = written(tmp_path, sound())
-    told(tmp_path / "fligt.csv", CHANNELS, "no such file", "did you mean flight.csv?")
-    told(tmp_path / "nowhere" / "flight.csv", CHANNELS, "folder", "does not exist", "correct the path")
+    path = written(tmp_path / "flight.csv", sound())
+    refused(tmp_path / "fligt.csv", CHANNELS, "no such file", "did you mean flight.csv?")
+    refused(tmp_path / "nowhere" / "flight.csv", CHANNELS, "folder", "does not exist", "correct the path")
     (tmp_path / "d.csv").mkdir()
-    told(tmp_path / "d.csv", CHANNELS, "directory", "name a file")
+    refused(tmp_path / "d.csv", CHANNELS, "directory", "name a file")
     (tmp_path / "e.csv").touch()
-    told(tmp_path / "e.csv", CHANNELS, "empty", "write it again")
+    refused(tmp_path / "e.csv", CHANNELS, "empty", "write it again")
     os.mkfifo(tmp_path / "p.csv")
-    told(tmp_path / "p.csv", CHANNELS, "pipe", "regular file")
-    told(tmp_path / "n\0l.csv", CHANNELS, "no such file")
+    refused(tmp_path / "p.csv", CHANNELS, "pipe", "regular file")
+    refused(tmp_path / "n\0l.csv", CHANNELS, "no such file")
     for name in ("flight.xls", "flight"):
         (tmp_path / name).write_text("x")
-        told(tmp_path / name, CHANNELS, *FORMATS, "convert")
+        refused(tmp_path / name, CHANNELS, *FORMATS, "convert")
     with monkeypatch.context() as patch:
         patch.setattr("bayes_aero.flight.reading.MAX_BYTES", 100)
-        told(path, CHANNELS, "more than 100", "cut it")
+        refused(path, CHANNELS, "more than 100", "cut it")
     monkeypatch.setattr(Path, "read_bytes", Mock(side_effect=PermissionError(13, "Permission denied")))
-    told(path, CHANNELS, "Permission denied", "check its name and permissions")
+    refused(path, CHANNELS, "Permission denied", "check its name and permissions")
 
 
-@pytest.mark.parametrize(("suffix", "named", "words"), [
-    *((".csv", suffix, ("again",)) for suffix in (".mat", ".parquet", ".nc")),
-    *((".parquet", suffix, ("NUL", "Save it as UTF-8 text")) for suffix in (".asc", ".csv")),
-])  # fmt: skip
-def test_misnamed_file(tmp_path, suffix, named, words):
-    told(written(tmp_path, sound(), suffix).rename(tmp_path / f"flight{named}"), CHANNELS, *words)
+T60 = np.arange(60) * 0.04
 
 
-# The card
+def mat(value, **options):
+    return lambda path: savemat(path, {"T": T60, "ALCG": value}, **options)
+
+
+def netcdf(values, about, engine):
+    return lambda path: xr.Dataset({"T": ("t", T60), "ALCG": ("t", values, about)}).to_netcdf(path, engine=engine)
+
+
+def misnamed(suffix):
+    return lambda path: written(path.with_name(f"other{suffix}"), sound()).rename(path)
+
+
+FLAGS = {"flag_values": np.array([0, 1], "i1"), "flag_meanings": "up down"}
+SCALED = {"scale_factor": 0.001, "add_offset": 0.0, "_FillValue": np.int32(-9999), "units": "degrees"}
+FAULTY = [  # suffix, what writes the file, words of the refusal
+    *((suffix, misnamed(".csv"), ("again",)) for suffix in (".mat", ".parquet", ".nc")),
+    *((suffix, misnamed(".parquet"), ("NUL", "Save it as UTF-8 text")) for suffix in (".asc", ".csv")),
+    (".parquet", lambda path: pd.DataFrame({"T": T60, "ALCG": "x"}).to_parquet(path),
+     ("channel alpha", "numbers should be", "plain numbers")),
+    (".parquet", pd.DataFrame({"T": T60}).to_pickle, ("not a readable Parquet",)),
+    (".mat", mat({"x": T60}), ("channel alpha", "did you mean 'ALCG.x'")),
+    (".mat", mat("words"), ("channel alpha", "char", "numeric vector")),
+    (".mat", mat(np.ones((60, 2))), ("channel alpha", "did you mean", "'ALCG(:,1)'")),
+    (".mat", mat(np.ones(59)), ("channel alpha", "59 samples", "60", "same length")),
+    (".mat", mat(T60, format="4"), ("version 5 to 7.3", "-v7")),
+    *((".nc", netcdf(values, about, engine), ("channel alpha", *words)) for engine in ("h5netcdf", "scipy")
+      for values, about, words in (
+        (np.where(np.arange(60) == 7, np.int32(-9999), np.int32(5000)), SCALED,
+         ("not a number", "sample 7 ", "t = 0.28 s", "1 of 60", "repair")),
+        (np.ones(60, "i1"), FLAGS, ("flags", "flag_meanings")),
+        (np.ones(60, "i1"), {"scale_factor": "0.1"}, ("scale_factor", "plain numbers")),
+        (np.ones(60, "i1"), {"_Unsigned": "perhaps"}, ("_Unsigned",)))),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("suffix", "write", "words"), FAULTY)
+def test_a_file_of_another_format_or_without_numbers_is_refused(tmp_path, suffix, write, words):
+    write(tmp_path / f"a{suffix}")
+    refused(tmp_path / f"a{suffix}", TWO, *words)
 
 
 CARDS = [  # format, the channels of a card that does not go with it, words of the refusal
@@ -118,50 +135,26 @@ CARDS = [  # format, the channels of a card that does not go with it, words of t
 
 
 @pytest.mark.parametrize(("suffix", "channels", "words"), CARDS)
-def test_a_card_that_does_not_go_with_the_file_is_told(tmp_path, suffix, channels, words):
-    told(written(tmp_path, sound(), suffix), channels, *words)
+def test_a_card_that_does_not_go_with_the_file_is_refused(tmp_path, suffix, channels, words):
+    refused(written(tmp_path / f"flight{suffix}", sound()), channels, *words)
 
 
-@pytest.mark.parametrize(("suffix", "name", "said", "there"), [
+@pytest.mark.parametrize(("suffix", "name", "entry", "there"), [
     *((suffix, "strain", {"label": "no such"}, False) for suffix in NAMED),
     (".asc", "strain", {"column": 8}, False), (".asc", "strain", {"column": None}, False),
     *((suffix, "q", {"unit": "degree / second"}, True) for suffix in NAMED[2:]),
 ])  # fmt: skip
-def test_what_is_not_required_may_be_missing_and_a_unit_has_several_names(tmp_path, suffix, name, said, there):
-    assert read_record(written(tmp_path, sound(), suffix), remap(name, **said)).has(name) is there
+def test_what_is_not_required_may_be_missing_and_a_unit_has_several_names(tmp_path, suffix, name, entry, there):
+    assert read_record(written(tmp_path / f"flight{suffix}", sound()), remap(name, **entry)).has(name) is there
 
 
-# Binary formats
-
-
-def test_object_columns_are_refused(tmp_path):
-    frame = pd.DataFrame({"T": np.arange(60) * 0.04, "ALCG": ["x"] * 60})
+def test_dates_of_a_parquet_file_are_times_and_too_many_values_are_refused(tmp_path, monkeypatch):
+    frame = pd.DataFrame({"T": pd.date_range("2020-01-01", periods=60, freq="40ms"), "ALCG": T60})
     frame.to_parquet(tmp_path / "a.parquet")
-    told(tmp_path / "a.parquet", TWO, "channel alpha", "numbers should be", "plain numbers")
-    frame["T"] = pd.date_range("2020-01-01", periods=60, freq="40ms")
-    frame.to_parquet(tmp_path / "b.parquet")
-    frame["ALCG"] = np.arange(60.0)
-    frame.to_parquet(tmp_path / "b.parquet")
-    np.testing.assert_allclose(read_record(tmp_path / "b.parquet", TWO).time, np.arange(60) * 0.04, atol=1e-9)
-    (tmp_path / "c.parquet").write_bytes(pickle.dumps(frame))
-    told(tmp_path / "c.parquet", TWO, "not a readable Parquet")
-
-
-def test_mat_files_that_hold_no_vectors_or_too_much(tmp_path, monkeypatch):
-    t = np.arange(60) * 0.04
-    for value, words in (
-        ({"x": t}, ("did you mean 'ALCG.x'",)),
-        ("words", ("char", "numeric vector")),
-        (np.ones((60, 2)), ("did you mean", "'ALCG(:,1)'")),
-        (np.ones(59), ("59 samples", "60", "same length")),
-    ):
-        savemat(tmp_path / "a.mat", {"T": t, "ALCG": value})
-        told(tmp_path / "a.mat", TWO, "channel alpha", *words)
-    savemat(tmp_path / "v4.mat", {"T": t}, format="4")
-    told(tmp_path / "v4.mat", TWO, "version 5 to 7.3", "-v7")
-    path = written(tmp_path, sound(2000), ".mat")
+    np.testing.assert_allclose(read_record(tmp_path / "a.parquet", TWO).time, T60, atol=1e-9)
+    path = written(tmp_path / "flight.mat", sound(2000))
     monkeypatch.setattr("bayes_aero.flight.text.MAX_VALUES", 100)
-    told(path, CHANNELS, "claims", "-v7")
+    refused(path, CHANNELS, "claims", "-v7")
 
 
 def test_matlab_v73(tmp_path):
@@ -174,100 +167,58 @@ def test_matlab_v73(tmp_path):
     with path.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM")
     np.testing.assert_allclose(read_record(path, TWO)["alpha"], r["alpha"], rtol=1e-15)
-    told(path, [*TWO, Channel("q", "deg/s", "s")], "channel q", "numbers should be")
-    told(path, [*TWO, Channel("q", "deg/s", "QRGY")], "channel q", "the file has", "'ALCG'")
+    refused(path, [*TWO, Channel("q", "deg/s", "s")], "channel q", "numbers should be")
+    refused(path, [*TWO, Channel("q", "deg/s", "QRGY")], "channel q", "the file has", "'ALCG'")
 
 
 def test_hdf5_that_takes_for_ever_crashes_or_has_no_library(tmp_path, monkeypatch):
-    path = written(tmp_path, sound(), ".nc")
+    path = written(tmp_path / "flight.nc", sound())
     monkeypatch.setattr(binary, "TIME_LIMIT", 0.001)
-    told(path, CHANNELS, "did not finish", "write it again")
+    refused(path, CHANNELS, "did not finish", "write it again")
     monkeypatch.undo()
     monkeypatch.setattr("sys.executable", "/bin/false")
-    told(path, CHANNELS, "crashed", "write it again")
+    refused(path, CHANNELS, "crashed", "write it again")
     monkeypatch.setattr(binary, "find_spec", lambda _: None)
-    told(path, CHANNELS, "h5py is not installed", "install h5py")
+    refused(path, CHANNELS, "h5py is not installed", "install h5py")
 
 
-def test_netcdf_conventions_and_what_are_no_measured_numbers(tmp_path):
-    r = sound()
-    packed = np.round(np.rad2deg(r["alpha"]) / 0.001).astype("i4")
-    packed[7] = -9999
-    about = {"scale_factor": 0.001, "add_offset": 0.0, "_FillValue": np.int32(-9999), "units": "degrees"}
-    data = xr.Dataset({"T": ("t", r.time), "ALCG": ("t", packed, about)})
-    for engine in ("h5netcdf", "scipy"):
-        path = tmp_path / f"{engine}.nc"
-        data.to_netcdf(path, engine=engine)
-        told(path, TWO, "channel alpha", "not a number", "sample 7 ", "t = 0.28 s", "1 of 120", "repair")
-        data.where(data.ALCG != -9999, 5730).assign(T=data.T).to_netcdf(tmp_path / "whole.nc", engine=engine)
-    card = [Channel("time", "s", "T"), Channel("flap", "deg", "FLAP")]
-    flags = {"flag_values": np.array([0, 1], "i1"), "flag_meanings": "up down"}
-    for about, words in (
-        (flags, ("channel flap", "flags", "flag_meanings")),
-        ({"scale_factor": "0.1"}, ("channel flap", "scale_factor", "plain numbers")),
-        ({"_Unsigned": "perhaps"}, ("channel flap", "_Unsigned")),
-    ):
-        for engine in ("h5netcdf", "scipy"):
-            path = tmp_path / f"{engine}.nc"
-            columns = {"T": ("t", r.time, {"units": "seconds since 2020-01-01"}), "FLAP": ("t", np.ones(r.n, "i1"))}
-            data = xr.Dataset(columns)
-            data["FLAP"].attrs = about
-            data.to_netcdf(path, engine=engine)
-            told(path, card, *words)
-
-
-PACKED = {
-    "unsigned": (np.array([0, 1, 40000, 65535], "u2").view("i2"), {"_Unsigned": "true", "scale_factor": 0.5}),
-    "unsigned with a fill value": (
-        np.array([0, 65535, 40000, 9], "u2").view("i2"),
-        {"_Unsigned": "true", "scale_factor": 0.0004, "add_offset": -23.5, "_FillValue": np.int16(-1)},
-    ),
-    "unsigned with missing values": (
-        np.array([0, 65535, 40000, 9], "u2").view("i2"),
-        {"_Unsigned": "True", "add_offset": 1.5, "missing_value": np.int16(-1)},
-    ),
-    "signed": (np.array([0, 5, 251, 255], "u1"), {"_Unsigned": "false", "scale_factor": 2.0}),
-    "several missing values": (np.array([1, 2, 3, 4], "i4"), {"missing_value": np.array([2, 4], "i4")}),
-    "valid range of the stored numbers": (
-        np.array([1, 50, 200, 7], "i2"), {"scale_factor": 0.1, "valid_range": np.array([5, 100], "i2")},
-    ),
-    "valid range of the unpacked numbers": (
-        np.array([1, 50, 200, 7], "i2"), {"scale_factor": 0.1, "valid_range": np.array([0.5, 10.0])},
-    ),
-    "unsigned valid limits": (
-        np.array([3, 50000, 60000, 7], "u2").view("i2"),
-        {"_Unsigned": "true", "valid_min": np.int16(5), "valid_max": np.array(50000, "u2").view("i2")[()]},
-    ),
-    "never written": (np.array([1.0, 9.969209968386869e36, 3.0, 4.0]), {}),
-}  # fmt: skip
-UNPACKED = [
-    [0.0, 0.5, 20000.0, 32767.5], [-23.5, np.nan, -7.5, -23.4964], [1.5, np.nan, 40001.5, 10.5], [0, 10, -10, -2],
-    [1, np.nan, 3, np.nan], [np.nan, 5.0, np.nan, 0.7], [np.nan, 5.0, np.nan, 0.7], [np.nan, 50000, np.nan, 7],
-    [1, np.nan, 3, 4],
+PACKED = [  # stored numbers, their attributes, the numbers they stand for: by hand
+    (np.array([0, 1, 40000, 65535], "u2").view("i2"), {"_Unsigned": "true", "scale_factor": 0.5},
+     [0.0, 0.5, 20000.0, 32767.5]),
+    (np.array([0, 65535, 40000, 9], "u2").view("i2"),
+     {"_Unsigned": "true", "scale_factor": 0.0004, "add_offset": -23.5, "_FillValue": np.int16(-1)},
+     [-23.5, np.nan, -7.5, -23.4964]),
+    (np.array([0, 65535, 40000, 9], "u2").view("i2"),
+     {"_Unsigned": "True", "add_offset": 1.5, "missing_value": np.int16(-1)}, [1.5, np.nan, 40001.5, 10.5]),
+    (np.array([0, 5, 251, 255], "u1"), {"_Unsigned": "false", "scale_factor": 2.0}, [0, 10, -10, -2]),
+    (np.array([1, 2, 3, 4], "i4"), {"missing_value": np.array([2, 4], "i4")}, [1, np.nan, 3, np.nan]),
+    # Valid ranges of stored, of unpacked and of unsigned numbers, and a value that was never written
+    (np.array([1, 50, 200, 7], "i2"), {"scale_factor": 0.1, "valid_range": np.array([5, 100], "i2")},
+     [np.nan, 5.0, np.nan, 0.7]),
+    (np.array([1, 50, 200, 7], "i2"), {"scale_factor": 0.1, "valid_range": np.array([0.5, 10.0])},
+     [np.nan, 5.0, np.nan, 0.7]),
+    (np.array([3, 50000, 60000, 7], "u2").view("i2"),
+     {"_Unsigned": "true", "valid_min": np.int16(5), "valid_max": np.array(50000, "u2").view("i2")[()]},
+     [np.nan, 50000, np.nan, 7]),
+    (np.array([1.0, 9.969209968386869e36, 3.0, 4.0]), {}, [1, np.nan, 3, 4]),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("suffix", [".nc", "classic.nc"])
-def test_packed_netcdf_stands_for_its_numbers(tmp_path, suffix):
-    """By hand, after the CF conventions and the NetCDF User's Guide."""
-    path = tmp_path / f"packed{suffix}"
-    names = [f"v{i}" for i in range(len(PACKED))]
-    if suffix == ".nc":
-        with h5py.File(path, "w") as file:
-            for name, (stored, about) in zip(names, PACKED.values(), strict=True):
-                file.create_dataset(name, data=stored, dtype=stored.dtype.newbyteorder(">")).attrs.update(about)
+@pytest.mark.parametrize("classic", [False, True])
+def test_packed_netcdf_stands_for_its_numbers(tmp_path, classic):
+    """After the CF conventions and the NetCDF User's Guide."""
+    path = tmp_path / "packed.nc"
+    if classic:  # its bytes have a sign
+        plain = [x.view("i1") if x.dtype == "u1" else x for x, *_ in PACKED]
+        data = xr.Dataset({f"v{i}": ("t", x, PACKED[i][1]) for i, x in enumerate(plain)})
+        data.to_netcdf(path, engine="scipy", encoding={name: {"_FillValue": None} for name in data})
     else:
-        with netcdf_file(path, "w") as file:
-            file.createDimension("t", 4)
-            for name, (stored, about) in zip(names, PACKED.values(), strict=True):
-                plain = "i1" if stored.dtype == "u1" else stored.dtype
-                variable = file.createVariable(name, plain, ("t",))
-                variable[:] = stored.view(plain)
-                for key, value in about.items():
-                    setattr(variable, key, np.float64(value) if isinstance(value, float) else value)
-    read = {column.label: column.values for column in read_raw(path).columns}
-    for case, name, right in zip(PACKED, names, UNPACKED, strict=True):
-        np.testing.assert_allclose(read[name], right, rtol=1e-14, err_msg=case)
+        with h5py.File(path, "w") as file:
+            for i, (x, about, _) in enumerate(PACKED):
+                file.create_dataset(f"v{i}", data=x, dtype=x.dtype.newbyteorder(">")).attrs.update(about)
+    read: Any = {column.label: column.values for column in read_raw(path).columns}
+    for i, (_, about, right) in enumerate(PACKED):
+        np.testing.assert_allclose(read[f"v{i}"], right, rtol=1e-14, err_msg=str(about))
 
 
 def test_netcdf_of_the_classic_format_and_times_since_a_date(tmp_path):
@@ -277,12 +228,9 @@ def test_netcdf_of_the_classic_format_and_times_since_a_date(tmp_path):
     for engine in ("h5netcdf", "scipy"):
         path = tmp_path / f"{engine}.nc"
         xr.Dataset(columns).to_netcdf(path, engine=engine)
-        told(path, [Channel("time", "s", "T"), Channel("alpha", "rad", "ALCG")], "'milliseconds'", 'unit = "ms"')
+        refused(path, [Channel("time", "s", "T"), Channel("alpha", "rad", "ALCG")], "'milliseconds'", 'unit = "ms"')
         read = read_record(path, [Channel("time", "ms", "T"), Channel("alpha", "rad", "ALCG")])
         np.testing.assert_allclose(read.time, r.time, rtol=1e-14)
-
-
-# Writing
 
 
 def test_what_is_written_can_be_read_back(tmp_path):
@@ -300,11 +248,7 @@ def test_what_is_written_can_be_read_back(tmp_path):
             assert word in str(caught.value)
     assert list(tmp_path.iterdir()) == []
     lean = FlightRecord.from_arrays("lean", record.time, {k: v for k, v in record.channels.items() if k != "strain"})
-    assert not read_record(written(tmp_path, lean), CHANNELS).has("strain")
-    # A header that stands above numbers between blanks is read, too.
-    path = written(tmp_path, record).rename(tmp_path / "b.asc")
-    path.write_text(path.read_text().replace(",", " "))
-    np.testing.assert_allclose(read_record(path, CHANNELS)["q"], record["q"], rtol=1e-12)
+    assert not read_record(written(tmp_path / "flight.csv", lean), CHANNELS).has("strain")
 
 
 # The real files through the shipped card
@@ -345,29 +289,29 @@ def values_of(opened, **labels):
     return opened.read(located(channels, opened))
 
 
+def hold(columns, place: Any = slice(None), **expected):
+    """The columns have these numbers there."""
+    for name, values in expected.items():
+        np.testing.assert_array_equal(columns[name].values[place], values, err_msg=name)
+
+
 def names_of(opened):
     return [name for heading in opened.headings for name in heading.names]
 
 
-# --------------------------------------------------------------------------------------------------------- Excel
-
-
-def samples(n=60):
-    return [[k * 0.04, 0.1 * k if k != 5 else None, k, None if k == n - 1 else 80 + k / 7] for k in range(n)]
-
-
+# Excel
 def test_a_sheet_with_preamble_units_and_blank_cells():
     preamble = [["Flight 12"], ["Mass", 12000.0, "kg"], []]
     header = [["time", "alpha", "q", "V", "remark"], ["s", "deg", None, "m/s"]]
     notes = [["Aircraft", "D-ABCD"], ["mass", 1200, "kg"]]
-    opened = open_excel(workbook(("Notes", notes), ("Data", preamble + header + samples())))
+    rows = [[k * 0.04, 0.1 * k if k != 5 else None, k, None if k == 59 else 80 + k / 7] for k in range(60)]
+    opened = open_excel(workbook(("Notes", notes), ("Data", preamble + header + rows)))
     assert [heading.unit for heading in opened.headings] == ["s", "deg", None, "m/s", None]
-    found = values_of(opened, time="time", alpha="alpha", q="q", airspeed="V")
-    rows = samples()
-    for k, column in enumerate(found.values()):
+    columns = values_of(opened, time="time", alpha="alpha", q="q", airspeed="V")
+    for k, column in enumerate(columns.values()):
         expected = np.array([np.nan if row[k] is None else row[k] for row in rows], float)
         np.testing.assert_allclose(column.values, expected, rtol=1e-15)  # openpyxl writes 16 digits
-    assert found["airspeed"].unit == "m/s"
+    assert columns["airspeed"].unit == "m/s"
     assert "sheet 'Data'" in opened.remarks[0]
     assert "line 4 is taken for the first of the table" in opened.remarks[1]
 
@@ -399,8 +343,8 @@ def test_dates_and_times_of_a_sheet_are_seconds_from_the_first(part):
     dates = [began + step for step in steps]
     stamps = {"date": dates, "clock": [date.time() for date in dates], "duration": steps}[part]
     opened = open_excel(workbook(("Data", [["time", "x"]] + [[stamp, k] for k, stamp in enumerate(stamps)])))
-    found = values_of(opened, time="time", x="x")
-    np.testing.assert_allclose(found["time"].values, 0.04 * np.arange(60), atol=1e-9)
+    time = values_of(opened, time="time", x="x")["time"].values
+    np.testing.assert_allclose(time, 0.04 * np.arange(60), atol=1e-9)
 
 
 def test_workbooks_that_are_old_or_unpack_without_end_are_refused(monkeypatch):
@@ -433,8 +377,7 @@ def rewritten(data: bytes, name: str, old: bytes, new: bytes) -> bytes:
     return out.getvalue()
 
 
-# ----------------------------------------------------------------------------------------------------------- MDF
-
+# MDF
 FAST, SLOW = np.arange(100) * 0.01, np.arange(25) * 0.04
 
 
@@ -460,22 +403,19 @@ def measured(*more) -> bytes:
 def test_mdf_with_two_rates():
     opened = open_mdf(measured())
     assert names_of(opened) == ["time", "ADC/alpha", "q", "ADC/q", "V", "GPS/V", "GPS/alpha"]
-    one = values_of(opened, time="time", alpha="ADC/alpha", q="q")
-    np.testing.assert_array_equal(one["time"].values, FAST)
-    np.testing.assert_array_equal(one["alpha"].values, np.sin(FAST))
-    np.testing.assert_array_equal(one["q"].values, np.arange(100.0))
-    assert (one["time"].unit, one["alpha"].unit, one["q"].unit) == ("s", "rad", "deg/s")
+    fast = values_of(opened, time="time", alpha="ADC/alpha", q="q")
+    hold(fast, time=FAST, alpha=np.sin(FAST), q=np.arange(100.0))
+    assert [column.unit for column in fast.values()] == ["s", "rad", "deg/s"]
     both = values_of(opened, time="time", alpha="ADC/alpha", other="GPS/alpha")
     np.testing.assert_allclose(both["time"].values, FAST, rtol=1e-15)
-    np.testing.assert_array_equal(both["alpha"].values, np.sin(FAST))
     slow = np.full(100, np.nan)
     slow[::4] = np.cos(SLOW)
-    np.testing.assert_array_equal(both["other"].values, slow)
+    hold(both, alpha=np.sin(FAST), other=slow)
     assert both["other"].unit is None
 
 
-def test_mdf_conversions_byte_order_and_invalid_samples():
-    counts = np.arange(25)
+def test_mdf_conversions_byte_order_invalid_samples_and_formulas_that_are_not_run(tmp_path):
+    counts, trace = np.arange(25), tmp_path / "trace"
     gear = {f"val_{k}": k for k in range(2)} | {f"text_{k}": f"position {k}".encode() for k in range(2)}
     signals = {
         "linear": {"samples": counts.astype("u1"), "conversion": {"a": 0.5, "b": -1.0}},
@@ -483,27 +423,20 @@ def test_mdf_conversions_byte_order_and_invalid_samples():
         "motorola": {"samples": counts.astype(">f4") / 4},
         "gaps": {"samples": counts.astype(float), "invalidation_bits": counts == 7},
     }
-    opened = open_mdf(measured(*(asammdf.Signal(timestamps=SLOW, name=name, **x) for name, x in signals.items())))
-    found = values_of(opened, time="time", linear="linear", gear="gear", motorola="motorola", gaps="gaps")
-    np.testing.assert_allclose(found["time"].values, SLOW, rtol=1e-15)
-    np.testing.assert_array_equal(found["linear"].values, 0.5 * counts - 1.0)
-    np.testing.assert_array_equal(found["gear"].values, counts % 2)
-    np.testing.assert_array_equal(found["motorola"].values, counts / 4)
-    np.testing.assert_array_equal(found["gaps"].values, np.where(counts == 7, np.nan, counts))
-
-
-def test_formulas_of_an_mdf_file_are_not_run(tmp_path):
-    trace = tmp_path / "trace"
-    formula = {"formula": f"__import__('pathlib').Path('{trace}').touch() or X1"}
-    opened = open_mdf(measured(asammdf.Signal(np.arange(25), SLOW, name="evil", conversion=formula)))
+    formula: Any = {"formula": f"__import__('pathlib').Path('{trace}').touch() or X1"}
+    evil = asammdf.Signal(counts, SLOW, name="evil", conversion=formula)
+    sound = (asammdf.Signal(timestamps=SLOW, name=name, **x) for name, x in signals.items())
+    opened = open_mdf(measured(evil, *sound))
     assert "evil" not in names_of(opened)
     assert any("'evil' is left out" in remark for remark in opened.remarks)
     assert not trace.exists()
+    columns = values_of(opened, time="time", **{name: name for name in signals})
+    np.testing.assert_allclose(columns["time"].values, SLOW, rtol=1e-15)
+    gaps = np.where(counts == 7, np.nan, counts)
+    hold(columns, linear=0.5 * counts - 1.0, gear=counts % 2, motorola=counts / 4, gaps=gaps)
 
 
-# ---------------------------------------------------------------------------------------------------------- ULog
-
-
+# ULog
 def px4() -> bytes:
     fast, slow = 5_000_000 + 4000 * np.arange(200), 5_000_000 + 20_000 * np.arange(40)
     attitude = [struct.pack("<4f?", k, 2 * k, 3 * k, 4 * k, k % 2) for k in range(200)]
@@ -527,16 +460,13 @@ def test_ulog_with_instances_arrays_and_two_rates():
         *(f"sensor_accel.{name}" for name in ("x", "count", "1.x", "1.count")),
         *(f"vehicle_attitude.{name}" for name in ("q[0]", "q[1]", "q[2]", "q[3]", "reset")),
     ]
-    one = values_of(opened, time="time", q="vehicle_attitude.q[2]", reset="vehicle_attitude.reset")
-    np.testing.assert_array_equal(one["time"].values, (1_000_000 + 4000 * np.arange(200)) / 1e6)
-    np.testing.assert_array_equal(one["q"].values, 3.0 * np.arange(200))
-    np.testing.assert_array_equal(one["reset"].values, np.arange(200) % 2)
-    other = values_of(opened, time="time", q="vehicle_attitude.q[0]", x="sensor_accel.1.x")
-    there = ~np.isnan(other["x"].values)
-    np.testing.assert_array_equal(other["time"].values[there], (1_000_007 + 20_000 * np.arange(40)) / 1e6)
-    np.testing.assert_array_equal(other["x"].values[there], 0.1 * np.arange(40))
-    assert np.isnan(other["q"].values[there]).all()
-    assert not np.isnan(other["q"].values[~there]).any()
+    attitude = values_of(opened, time="time", q="vehicle_attitude.q[2]", reset="vehicle_attitude.reset")
+    k = np.arange(200)
+    hold(attitude, time=(1_000_000 + 4000 * k) / 1e6, q=3.0 * k, reset=k % 2)
+    both = values_of(opened, time="time", q="vehicle_attitude.q[0]", x="sensor_accel.1.x")
+    there, k = ~np.isnan(both["x"].values), np.arange(40)
+    hold(both, there, time=(1_000_007 + 20_000 * k) / 1e6, x=0.1 * k)
+    np.testing.assert_array_equal(np.isnan(both["q"].values), there)
     assert opened.remarks == ["the logger lost samples 1 times, for 0.12 s in all"]
 
 
@@ -553,9 +483,7 @@ def test_a_clock_that_runs_backwards_is_not_joined_with_another():
         values_of(opened, time="time", x="a.x", y="b.y")
 
 
-# ----------------------------------------------------------------------------------------------------- DataFlash
-
-
+# DataFlash
 def ardupilot() -> bytes:
     kinds = {
         60: ("ATT", "Qccf", "TimeUS,Roll,Pitch,Aspd"), 61: ("IMU", "QBf", "TimeUS,I,GyrX"),
@@ -579,35 +507,27 @@ def test_dataflash_with_units_multipliers_instances_and_several_rates():
     opened = open_dataflash(ardupilot())
     wanted = {"ATT.Roll", "ATT.Pitch", "ATT.Aspd", "IMU[0].GyrX", "IMU[1].GyrX", "GPS[0].Lat", "GPS.Lat"}
     assert wanted | {"time"} == set(names_of(opened))
-    one = values_of(opened, time="time", phi="ATT.Roll", theta="ATT.Pitch", airspeed="ATT.Aspd")
-    np.testing.assert_array_equal(one["time"].values, np.arange(100) / 100)
-    np.testing.assert_array_equal(one["phi"].values, (100.0 * np.arange(100) - 5000) / 100)
-    np.testing.assert_array_equal(one["theta"].values, -np.arange(100) / 100)
-    np.testing.assert_array_equal(one["airspeed"].values, 20.0 + np.arange(100))
-    assert [one[name].unit for name in ("phi", "airspeed")] == ["deg", "m/s"]
+    attitude, k = values_of(opened, time="time", phi="ATT.Roll", theta="ATT.Pitch", airspeed="ATT.Aspd"), np.arange(100)
+    hold(attitude, time=k / 100, phi=(100.0 * k - 5000) / 100, theta=-k / 100, airspeed=20.0 + k)
+    assert [attitude[name].unit for name in ("phi", "airspeed")] == ["deg", "m/s"]
     both = values_of(opened, time="time", p="IMU[1].GyrX", latitude="GPS.Lat")
     there = ~np.isnan(both["p"].values)
-    np.testing.assert_array_equal(both["time"].values[there], (2_500 + 10_000 * np.arange(100)) / 1e6)
-    np.testing.assert_array_equal(both["p"].values[there], np.arange(100) + 0.5)
-    np.testing.assert_array_equal(both["latitude"].values[~there], (481234567 + np.arange(5)) / 1e7)
+    hold(both, there, time=(2_500 + 10_000 * k) / 1e6, p=k + 0.5)
+    hold(both, ~there, latitude=(481234567 + np.arange(5)) / 1e7)
     assert (both["p"].unit, both["latitude"].unit) == ("mrad/s", "deg")
     assert opened.remarks == []
 
 
-# ---------------------------------------------------------------------------------------------------- all of them
-
-
+# All of them
 @pytest.mark.parametrize("suffix", OPENERS)
 def test_a_missing_library_is_said(suffix, monkeypatch):
     monkeypatch.setattr(binary, "find_spec", lambda _: None)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=rf"reading {suffix} needs {LIBRARIES[suffix]}: pip install .*formats.*\.csv"):
         OPENERS[suffix](b"anything")
-    needs = f"reading {suffix} needs {LIBRARIES[suffix]}"
-    assert str(caught.value) == f"{needs}: pip install 'bayes-aero[formats]', or write .csv"
 
 
 @pytest.mark.parametrize("suffix", OPENERS)
-@pytest.mark.parametrize("content", [b"PK\x03\x04", b"", b"a,b\n1,2\n", bytes(1000)], ids=["zip", "empty", "text", "0"])
+@pytest.mark.parametrize("content", [b"PK\x03\x04", b"", b"a,b\n1,2\n"], ids=["zip", "empty", "text"])
 def test_misnamed_files_are_refused(suffix, content):
     with pytest.raises(InputError, match=r"misnamed|not a readable"):
         OPENERS[suffix](content)
@@ -617,27 +537,16 @@ def test_misnamed_files_are_refused(suffix, content):
 @pytest.mark.parametrize("suffix", OPENERS)
 def test_damaged_files_are_read_in_part_or_refused_soon(suffix, how):
     sheet = ("Data", [["time", "x"], *([0.04 * k, k] for k in range(60))])
-    sound = {".xlsx": lambda: workbook(sheet), ".mf4": measured, ".ulg": px4, ".bin": ardupilot}[suffix]()
-    refusal = ""
+    data = {".xlsx": lambda: workbook(sheet), ".mf4": measured, ".ulg": px4, ".bin": ardupilot}[suffix]()
+    refusal, columns = "", {}
     try:
-        opened = OPENERS[suffix](sound[: len(sound) // 2] if how == "cut" else spoilt(sound, seed=1))
+        opened = OPENERS[suffix](data[: len(data) // 2] if how == "cut" else spoilt(data, seed=1))
         columns = opened.read({str(k): heading for k, heading in enumerate(opened.headings)})
-    except InputError as refused:
-        refusal, columns = str(refused), {}
+    except InputError as reason:
+        refusal = str(reason)
     assert "\n" not in refusal
     assert len(refusal) < 600
     assert len({len(column.values) for column in columns.values()}) == (0 if refusal else 1)
-
-
-def test_a_parser_that_never_ends_is_stopped(monkeypatch, tmp_path):
-    """The child's process is one that sleeps, whatever it is asked."""
-    endless = tmp_path / "endless"
-    endless.write_text("#!/bin/sh\nexec sleep 60\n")
-    endless.chmod(0o755)
-    monkeypatch.setattr("sys.executable", str(endless))
-    monkeypatch.setattr(binary, "TIME_LIMIT", 2.0)
-    with pytest.raises(InputError, match="did not finish in 2 s"):
-        binary.ask_child(b"", "ulog", "log")
 
 
 def test_the_libraries_are_not_loaded_before_they_are_needed():

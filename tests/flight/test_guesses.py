@@ -2,19 +2,16 @@
 
 from itertools import cycle
 
-import asammdf
 import numpy as np
 import pandas as pd
 import pytest
 import scipy.io
-from flight_samples import workbook
-from flights import flight
+from flights import DEG, FOOT, KNOT, G, flight
 
 from bayes_aero.flight.card import parse_card, parse_table
 from bayes_aero.flight.channel import ALIASES, Channel, plain_heading, split_heading, symbol_of
 from bayes_aero.flight.columns import guessed
-from bayes_aero.flight.reading import READERS, inspect_record, read_raw, read_record
-from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.reading import inspect_record, read_raw, read_record
 from bayes_aero.jobs.preparing import starter_card
 
 
@@ -31,13 +28,9 @@ from bayes_aero.jobs.preparing import starter_card
     ("AirspeedTrue_kt", "airspeed", "kt"), ("Normal Accel [g]", "az", "g"), ("P_RATE", "p", None),
 ])  # fmt: skip
 def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
-    key, found = split_heading(plain_heading(heading))
-    assert (ALIASES.get(key), found) == (channel, unit)
-
-
-@pytest.mark.parametrize("heading", ["gyro", "up [g]", "sensor", "ADC_RAW"])
-def test_a_heading_of_such_words_alone_stays(heading):
-    assert plain_heading(heading) == heading
+    key, its_unit = split_heading(plain_heading(heading))
+    assert (ALIASES.get(key), its_unit) == (channel, unit)
+    assert plain_heading("ADC_RAW") == "ADC_RAW"  # of such words alone
 
 
 @pytest.mark.parametrize(("heading", "symbol"), [
@@ -52,49 +45,42 @@ def test_a_symbol_at_the_end_names_the_channel(heading, symbol):
 @pytest.mark.parametrize(("left", "right", "whole"), [
     ("AileronL [deg]", "AileronR [deg]", "aileron"), ("L_Aileron_deg", "R_Aileron_deg", "aileron"),
     ("SpoilerL", "SpoilerR", "spoiler"), ("Elevator LH (deg)", "Elevator RH (deg)", "elevator"),
-    ("Left Elevon", "Right Elevon", "elevon"), ("ThrottleL", "ThrottleR", "throttle"),
+    ("Left Elevon", "Right Elevon", "elevon"),
 ])  # fmt: skip
 def test_halves_are_told_apart_and_from_the_whole(tmp_path, left, right, whole):
     """The left aileron alone is no aileron: it would be half of it, with the other sign."""
-    path = tmp_path / "run.csv"
-    path.write_text(f"Time [s],{right},{left}\n" + "\n".join(f"{0.1 * i:.1f},{i},{-i}" for i in range(60)))
-    found, _ = guessed(read_raw(path).columns)
-    assert {name: guess.column.number for name, guess in found.items()} == {
-        "time": 1, f"{whole}_right": 2, f"{whole}_left": 3,
-    }  # fmt: skip
+    columns = guesses(tmp_path, f"Time [s],{right},{left}", (TIME, WAVE, -WAVE))
+    numbers = {name: guess.column.number for name, guess in columns.items()}
+    assert numbers == {"time": 1, f"{whole}_right": 2, f"{whole}_left": 3}
 
 
 def test_a_command_does_not_resemble_what_it_asks_for(tmp_path):
-    path = tmp_path / "run.csv"
-    path.write_text("Time [s],elevator_cmd [deg]\n" + "\n".join(f"{0.1 * i:.1f},{i}" for i in range(60)))
-    found, unknown = guessed(read_raw(path).columns)
-    assert list(found) == ["time"]
-    assert [column.label for column in unknown] == ["elevator_cmd [deg]"]
+    assert list(guesses(tmp_path, "Time [s],elevator_cmd [deg]", (TIME, WAVE))) == ["time"]
 
 
 # What `card` guesses from a file's own units, the reader accepts: one table serves both
 N = 60
 TIME = np.arange(N) * 0.04
 WAVE = np.sin(np.linspace(0.0, 6.0, N))
-DEG, FT, LB, GRAVITY = np.pi / 180.0, 0.3048, 0.45359237, 9.80665
-LBF, SLUG = LB * GRAVITY, LB * GRAVITY / FT
+LB = 0.45359237
+LBF, SLUG = LB * G, LB * G / FOOT
 CASES = [  # heading, channel, SI values, SI size of one of the unit, spellings
     ("AoA", "alpha", 0.1 + 0.05 * WAVE, DEG, "deg DEG Degrees ° degs"),
     ("AoA", "alpha", 0.1 + 0.05 * WAVE, 1.0, "rad RAD radians"),
     ("Q", "q", 0.05 * WAVE, DEG, "deg/s DEG/SEC dps °/s deg/sec degrees/second deg_s DPS"),
     ("qdot", "q_dot", 0.2 * WAVE, DEG, "deg/s2 deg/sec^2 DEG/S/S °/s² deg/s**2"),
     ("qdot", "q_dot", 0.2 * WAVE, 1.0, "rad/s2 RAD/SEC2"),
-    ("TAS", "airspeed", 80.0 + 5.0 * WAVE, FT, "ft/s FT/SEC fps f/s feet/sec"),
-    ("TAS", "airspeed", 80.0 + 5.0 * WAVE, 1852.0 / 3600.0, "kt kts KNOTS kn KTAS Kn"),
+    ("TAS", "airspeed", 80.0 + 5.0 * WAVE, FOOT, "ft/s FT/SEC fps f/s feet/sec"),
+    ("TAS", "airspeed", 80.0 + 5.0 * WAVE, KNOT, "kt kts KNOTS kn KTAS Kn"),
     ("TAS", "airspeed", 80.0 + 5.0 * WAVE, 1.0, "m/s M/S mps m/sec"),
-    ("Nz", "az", -GRAVITY - WAVE, GRAVITY, "g G Gs g's"),
-    ("az", "az", -GRAVITY - WAVE, FT, "ft/s2 ft/sec^2 FT/S/S"),
-    ("az", "az", -GRAVITY - WAVE, 1.0, "m/s2 m/s/s M/S^2 m/s²"),
-    ("Altitude", "altitude", 2000.0 + 20.0 * WAVE, FT, "ft FEET Ft"),
-    ("rho", "density", 1.0 + 0.01 * WAVE, SLUG / FT**3, "slug/ft3 slugs/ft^3 SLUG/FT3 slug/cu\N{NO-BREAK SPACE}ft"),
-    ("rho", "density", 1.0 + 0.01 * WAVE, LB / FT**3, "lb/ft3 lbm/ft^3"),
+    ("Nz", "az", -G - WAVE, G, "g G Gs g's"),
+    ("az", "az", -G - WAVE, FOOT, "ft/s2 ft/sec^2 FT/S/S"),
+    ("az", "az", -G - WAVE, 1.0, "m/s2 m/s/s M/S^2 m/s²"),
+    ("Altitude", "altitude", 2000.0 + 20.0 * WAVE, FOOT, "ft FEET Ft"),
+    ("rho", "density", 1.0 + 0.01 * WAVE, SLUG / FOOT**3, "slug/ft3 slugs/ft^3 SLUG/FT3 slug/cu\N{NO-BREAK SPACE}ft"),
+    ("rho", "density", 1.0 + 0.01 * WAVE, LB / FOOT**3, "lb/ft3 lbm/ft^3"),
     ("rho", "density", 1.0 + 0.01 * WAVE, 1.0, "kg/m3 KG/M3 kg/m³"),
-    ("qbar", "dynamic_pressure", 3000.0 + 99.0 * WAVE, LBF / FT**2, "psf PSF lbf/ft2 lb/ft2 lbs/ft^2"),
+    ("qbar", "dynamic_pressure", 3000.0 + 99.0 * WAVE, LBF / FOOT**2, "psf PSF lbf/ft2 lb/ft2 lbs/ft^2"),
     ("PDYN", "dynamic_pressure", 3000.0 + 99.0 * WAVE, 100.0, "hPa HPA mb mbar"),
     ("Ps", "static_pressure", 8e4 + 99.0 * WAVE, 3386.388640341, "inHg INHG in\N{NO-BREAK SPACE}Hg in_Hg"),
     ("Ps", "static_pressure", 8e4 + 99.0 * WAVE, LBF / 0.0254**2, "psi PSIA lb/in2"),
@@ -123,8 +109,9 @@ def guesses(folder, header, columns):
     (layout, *spelled) for spelled, layout in zip(SPELLED, cycle(LAYOUTS), strict=False)
 ])  # fmt: skip
 def test_a_guess_from_the_files_own_unit_passes_the_reader(tmp_path, layout, heading, channel, si, size, unit):
-    found = guesses(tmp_path, LAYOUTS[layout].format(heading, unit), (TIME, si / size))
-    card = [Channel(g.channel, str(g.unit), label=g.column.label, sign=g.sign) for g in (found["time"], found[channel])]
+    columns = guesses(tmp_path, LAYOUTS[layout].format(heading, unit), (TIME, si / size))
+    both = columns["time"], columns[channel]
+    card = [Channel(g.channel, str(g.unit), label=g.column.label, sign=g.sign) for g in both]
     np.testing.assert_allclose(read_record(tmp_path / "run.csv", card)[channel], si, rtol=1e-6)
 
 
@@ -138,7 +125,7 @@ BESIDE = {  # units of what follows from a channel beside it, s and SI: heading 
 
 @pytest.mark.parametrize(("name", "unit", "size"), [
     ("q_dot", "rad/s^2", 1.0), ("q_dot", "deg/s^2", DEG),
-    ("dynamic_pressure", "Pa", 1.0), ("dynamic_pressure", "lbf/ft^2", LBF / FT**2),
+    ("dynamic_pressure", "Pa", 1.0), ("dynamic_pressure", "lbf/ft^2", LBF / FOOT**2),
 ])  # fmt: skip
 def test_units_of_angular_acceleration_and_dynamic_pressure_show_in_rate_and_airspeed(tmp_path, name, unit, size):
     header, time, beside, values = BESIDE[name]
@@ -146,43 +133,43 @@ def test_units_of_angular_acceleration_and_dynamic_pressure_show_in_rate_and_air
 
 
 @pytest.mark.parametrize(
-    ("units", "speed", "height"), [("m/s m", 1.0, 1.0), ("ft/s ft", FT, FT), ("km/h m", 1 / 3.6, 1)]
+    ("units", "speed", "height"), [("m/s m", 1.0, 1.0), ("ft/s ft", FOOT, FOOT), ("km/h m", 1 / 3.6, 1)]
 )
-def test_the_turn_of_the_path_tells_units_that_the_climb_cannot(tmp_path, units, speed, height):
+def test_the_turn_of_the_path_shows_units_that_the_climb_cannot(tmp_path, units, speed, height):
     """The climb is 0.87 times what it should be, as moving air makes it: nearer to km/h and ft than to m/s and m."""
     time, V = np.arange(0.0, 8.0, 0.05), 70.0
     alpha, theta = 0.06 + 0.03 * np.sin(2.0 * time), 0.06 + 0.06 * np.sin(1.0 * time)
     q, slope = 0.06 * np.cos(1.0 * time), 0.06 * np.cos(2.0 * time)  # of theta, of alpha
-    az = -GRAVITY * np.cos(theta) + V * (slope - q)
+    az = -G * np.cos(theta) + V * (slope - q)
     climb = 0.87 * V * np.sin(theta - alpha)
     altitude = 2500.0 + 0.05 * np.cumsum(climb)
     columns = (time, np.full(len(time), V / speed), alpha, theta, q, az, altitude / height)
-    found = guesses(tmp_path, "time,airspeed,alpha,theta,q,az,altitude", columns)
-    assert f"{found['airspeed'].unit} {found['altitude'].unit}" == units
+    given = guesses(tmp_path, "time,airspeed,alpha,theta,q,az,altitude", columns)
+    assert f"{given['airspeed'].unit} {given['altitude'].unit}" == units
 
 
-def test_noise_tells_neither_the_sign_of_a_rate_nor_that_of_the_elevator(tmp_path):
+def test_noise_shows_neither_the_sign_of_a_rate_nor_that_of_the_elevator(tmp_path):
     """Wings that stay level and an elevator at rest, recorded with noise: the heading alone counts. Ten records."""
     time, rng = np.arange(0.0, 60.0, 0.04), np.random.default_rng(3)
     for _ in range(10):
         noise = 0.05 * rng.standard_normal((6, len(time)))
         noise[2] += np.cos(0.5 * time)
         noise[3] += 2.0 * np.sin(0.5 * time)
-        found = guesses(tmp_path, PITCHING, [time, *noise])
-        assert [found[name].sign for name in ("p", "q", "elevator")] == [1, 1, 1]
-        assert "changes" not in found["p"].evidence
-        assert "follows" not in found["elevator"].evidence
+        columns = guesses(tmp_path, PITCHING, [time, *noise])
+        assert [columns[name].sign for name in ("p", "q", "elevator")] == [1, 1, 1]
+        assert "changes" not in columns["p"].evidence
+        assert "follows" not in columns["elevator"].evidence
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_sign_of_a_rate_and_of_an_elevator_that_move_is_told(tmp_path, sign):
+def test_the_sign_of_a_rate_and_of_an_elevator_that_move_is_known(tmp_path, sign):
     time, rng = np.arange(0.0, 60.0, 0.04), np.random.default_rng(4)
     q, roll = 3.0 * np.sin(0.8 * time), 10.0 * np.sin(0.6 * time)
-    columns = (sign * np.gradient(roll, time), roll, q, -3.75 * np.cos(0.8 * time), 2.0 * np.sin(0.3 * time))
-    elevator = -sign * 0.4 * np.gradient(q, time)
-    table = np.stack([*columns, elevator], axis=1) + 0.05 * rng.standard_normal((len(time), 6))
-    found = guesses(tmp_path, PITCHING, [time, *table.T])
-    assert [found[name].sign for name in ("p", "q", "elevator")] == [sign, 1, sign]
+    pitch, alpha, elevator = -3.75 * np.cos(0.8 * time), 2.0 * np.sin(0.3 * time), -sign * 0.4 * np.gradient(q, time)
+    table = np.stack([sign * np.gradient(roll, time), roll, q, pitch, alpha, elevator], axis=1)
+    noisy = table + 0.05 * rng.standard_normal(table.shape)
+    columns = guesses(tmp_path, PITCHING, [time, *noisy.T])
+    assert [columns[name].sign for name in ("p", "q", "elevator")] == [sign, 1, sign]
 
 
 @pytest.mark.parametrize(("size", "unit"), [(1.0, "rad"), (DEG, "deg")])
@@ -191,8 +178,8 @@ def test_a_heading_in_radians_makes_no_degrees_of_the_rest(tmp_path, size, unit)
     time = np.arange(0.0, 40.0, 0.05)
     heading = np.mod(3.0 + 0.2 * time, 2.0 * np.pi)
     small = [0.1 + 0.05 * np.sin(f * time) for f in (0.5, 0.7, 0.9)]
-    found = guesses(tmp_path, "time,yaw,pitch,roll,alpha", [time, heading / size, *(x / size for x in small)])
-    assert {found[name].unit for name in ("psi", "theta", "phi", "alpha")} == {unit}
+    columns = guesses(tmp_path, "time,yaw,pitch,roll,alpha", [time, heading / size, *(x / size for x in small)])
+    assert {columns[name].unit for name in ("psi", "theta", "phi", "alpha")} == {unit}
 
 
 RATES, METRES = ("p", "q", "r"), {"airspeed": "m/s", "altitude": "m"}
@@ -204,7 +191,7 @@ def _turns(size=1.0):
     phi, theta = 0.02 * size * np.sin(0.3 * time), 0.02 * size * np.sin(0.25 * time)
     V = np.full(len(time), 80.0)
     alpha = 0.012 * size * (1.0 + np.sin(0.4 * time))
-    turn = GRAVITY / V * np.tan(phi)
+    turn = G / V * np.tan(phi)
     psi, climbing = np.cumsum(turn) * 0.05, np.gradient(theta, time)
     p, q = np.gradient(phi, time) - turn * np.sin(theta), climbing * np.cos(phi) + turn * np.sin(phi) * np.cos(theta)
     r = turn * np.cos(phi) * np.cos(theta) - climbing * np.sin(phi)
@@ -226,12 +213,12 @@ SMALL = [  # channels beside time, those in degrees, those whose headings say so
       for deg in ((), ("alpha",), ("theta",), ("alpha", "theta"))),
     # The yaw rate has the unit of the turn: of the heading, and without one of the bank, whatever the airspeed is in.
     *(((*ATTITUDES, "r", "airspeed", *psi), deg, (*ATTITUDES, *psi), 4.0, speed) for psi in (("psi",), ())
-      for deg in (("r",), ()) for speed in (1.0, 1852.0 / 3600.0, FT)),
+      for deg in (("r",), ()) for speed in (1.0, KNOT, FOOT)),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("names", "degrees", "stated", "size", "speed"), SMALL)
-def test_small_motions_tell_each_others_units(tmp_path, names, degrees, stated, size, speed):
+def test_small_motions_show_each_others_units(tmp_path, names, degrees, stated, size, speed):
     """With noise of 2 % of each signal."""
     true, rng = _turns(size), np.random.default_rng(5)
     units = {n: ("deg" if n in degrees else "rad") + ("/s" if n in RATES else "") for n in names} | METRES
@@ -239,55 +226,39 @@ def test_small_motions_tell_each_others_units(tmp_path, names, degrees, stated, 
     columns = [true[n] / sizes.get(n, 1.0) for n in names]
     noisy = [x + 0.02 * np.std(x) * rng.standard_normal(len(x)) for x in columns]
     header = ",".join(["time", *(f"{n} [{units[n]}]" if n in stated else n for n in names)])
-    found = guesses(tmp_path, header, [true["time"], *noisy])
-    assert {n: found[n].unit for n in names if n not in METRES} == {n: units[n] for n in names if n not in METRES}
+    columns = guesses(tmp_path, header, [true["time"], *noisy])
+    assert {n: columns[n].unit for n in names if n not in METRES} | METRES == {n: units[n] for n in names} | METRES
 
 
 # A card that `card` makes passes `check` on its own file, whatever the format, once its TODO entries are filled in
-KT = 1852.0 / 3600.0
-ELSEWHERE = {".txt", ".dat", ".tsv", ".ulg", ".bin"}  # read as .asc and .csv; logs of autopilots: see test_formats.py
 FILLED = {"mass": "9000 kg", "wing_area": "28 m^2", "span": "14.2 m"}
 
 
-def flown() -> tuple[FlightRecord, pd.DataFrame]:
-    """A flight of kinematics, and as an American recorder writes it."""
-    r = flight(0, 0.05, 24.0)
+def american(r):
+    """The record as an American recorder writes it."""
     angles = {
         "AoA_deg": "alpha", "theta_deg": "theta", "phi_deg": "phi", "AOS_deg": "beta", "p_deg_s": "p", "q_deg_s": "q",
         "r_deg_s": "r", "elev_deg": "elevator", "psi_deg": "psi",
     }  # fmt: skip
     columns = {"time_s": r.time, **{heading: r[name] / DEG for heading, name in angles.items()}}
-    columns |= {f"{name}_g": r[name] / GRAVITY for name in ("ax", "ay", "az")}
-    columns |= {"TAS_kts": r["airspeed"] / KT, "alt_ft": r["altitude"] / FT}
-    return r, pd.DataFrame(columns | {"thrust_lbf": 9000.0 / LBF + 10.0 * np.sin(0.1 * r.time)})
+    columns |= {f"{name}_g": r[name] / G for name in ("ax", "ay", "az")}
+    columns |= {"TAS_kts": r["airspeed"] / KNOT, "alt_ft": r["altitude"] / FOOT}
+    return pd.DataFrame(columns | {"thrust_lbf": 9000.0 / LBF + 10.0 * np.sin(0.1 * r.time)})
 
 
-def write(frame: pd.DataFrame, path, struct: bool) -> None:
-    suffix = path.suffix
-    columns = {name: frame[name].to_numpy() for name in frame}
-    if suffix in (".csv", ".tsv", ".txt", ".dat", ".asc"):
-        gap = {".csv": ",", ".tsv": "\t"}.get(suffix, " ")
-        path.write_text(frame.to_csv(index=False, sep=gap, float_format="%.9g"))
-    elif suffix == ".mat":
-        scipy.io.savemat(path, {"flight": columns} if struct else columns)
-    elif suffix == ".parquet":
-        frame.to_parquet(path)
-    elif suffix == ".nc":
-        frame.to_xarray().to_netcdf(path, engine="h5netcdf")
-    elif suffix == ".xlsx":
-        path.write_bytes(workbook(("Data", [list(frame), *frame.to_numpy().tolist()])))
+def write(frame: pd.DataFrame, path) -> None:
+    if path.suffix == ".csv":
+        frame.to_csv(path, index=False, float_format="%.9g")
+    elif path.suffix == ".mat":
+        scipy.io.savemat(path, {"flight": {name: frame[name].to_numpy() for name in frame}})
     else:
-        time = columns.pop("time_s")
-        with asammdf.MDF(version="4.10") as file:
-            file.append([asammdf.Signal(x, time, name=name) for name, x in columns.items()])
-            file.save(path, overwrite=True)
+        frame.to_xarray().to_netcdf(path, engine="h5netcdf")
 
 
-@pytest.mark.parametrize(("suffix", "struct"), [*((s, False) for s in READERS if s not in ELSEWHERE), (".mat", True)])
-def test_a_starter_card_passes_on_its_own_file(tmp_path, suffix, struct):
-    path = tmp_path / f"run{suffix}"
-    true, frame = flown()
-    write(frame, path, struct)
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".nc"])
+def test_a_starter_card_passes_on_its_own_file(tmp_path, suffix):
+    path, true = tmp_path / f"run{suffix}", flight(0, 0.05, 24.0)
+    write(american(true), path)
     starter = starter_card(path)
     text = starter.text
     for key, meaning in starter.todo:

@@ -2,14 +2,12 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from flights import NOISE, UNITS, G, card, changed, flight, smooth
+from flights import BOOK, FOOT, KNOT, NOISE, UNITS, G, card, changed, flight, needs_book, smooth
 
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.health.air import air_data
 from bayes_aero.flight.health.channel import channel_health
 from bayes_aero.flight.health.kinematics import refuted
@@ -17,20 +15,17 @@ from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import standard_air
 
-BOOK = Path(__file__).parents[2].parent / "shared" / "book"
-TRIALS = BOOK.parent / "trials"
-LBF, LB, FOOT, KNOT = 0.45359237 * 9.80665, 0.45359237, 0.3048, 1852.0 / 3600.0
-SLUG = LB * 9.80665 / FOOT / FOOT**3  # kg/m3
+LB = 0.45359237
+LBF, SLUG = LB * G, LB * G / FOOT / FOOT**3  # N; kg/m3
 AIR = {
     "density": {"unit": "kg/m^3"}, "dynamic_pressure": {"unit": "Pa"}, "mach": {"unit": "1"},
     "static_pressure": {"unit": "Pa"}, "static_temperature": {"unit": "K"},
 }  # fmt: skip
 
 
-def air(record, altitude=None, warm=0.0):
+def air(record, warm=0.0):
     """Air data of the standard day at the altitude, warmer by some kelvin."""
-    h = record["altitude"] if altitude is None else altitude
-    rho, sound = standard_air(h)
+    rho, sound = standard_air(record["altitude"])
     T = sound**2 / (1.4 * 287.05287)
     rho, V = rho * T / (T + warm), record["airspeed"]
     return {"density": rho, "dynamic_pressure": 0.5 * rho * V**2, "mach": V / (sound * np.sqrt((T + warm) / T))}
@@ -53,8 +48,8 @@ def test_the_standard_atmosphere_is_the_published_one():
     np.testing.assert_allclose(speed, [340.294, 320.529, 295.069, 295.069, 295.069], rtol=2e-6)
 
 
-@pytest.mark.parametrize("warm", [-40.0, -15.0, 0.0, 15.0, 30.0])
-@pytest.mark.parametrize("altitude", [0.0, 4000.0, 9000.0])
+@pytest.mark.parametrize("warm", [-40.0, 0.0, 30.0])
+@pytest.mark.parametrize("altitude", [0.0, 9000.0])
 def test_air_of_any_weather_is_silent(altitude, warm):
     record = flight(1, altitude=altitude, seconds=30.0)
     assert [*air_data(changed(record, **air(record, warm=warm)), card(**AIR))] == []
@@ -64,32 +59,32 @@ def test_air_of_any_weather_is_silent(altitude, warm):
     ("density", SLUG, "slug/ft^3"), ("density", LB / FOOT**3, "lb/ft^3"),
     ("dynamic_pressure", LBF / FOOT**2, "lbf/ft^2"), ("dynamic_pressure", 100.0, "hPa"),
 ])  # fmt: skip
-@pytest.mark.parametrize("with_altitude", [True, False])
-def test_a_unit_of_density_or_dynamic_pressure_is_told(sound, name, size, unit, with_altitude):
-    record = changed(sound, without=() if with_altitude else ("altitude",), **{name: sound[name] / size})
-    told = [f for f in findings(record) if f.fault in ("unit", "load", "density")]
-    assert [(f.channel, f.fault) for f in told] == [(name, "unit")]
-    assert f'set unit = "{unit}" for {name}' in told[0].sentence
-    assert told[0].grave == (name == "density")  # nothing rests on the dynamic pressure
+@pytest.mark.parametrize("without", [(), ("altitude",)])
+def test_a_unit_of_density_or_dynamic_pressure_is_reported(sound, name, size, unit, without):
+    record = changed(sound, without=without, **{name: sound[name] / size})
+    (finding,) = [f for f in findings(record) if f.fault in ("unit", "load", "density")]
+    assert (finding.channel, finding.fault) == (name, "unit")
+    assert f'set unit = "{unit}" for {name}' in finding.sentence
+    assert finding.grave == (name == "density")  # nothing rests on the dynamic pressure
 
 
 def test_wrong_units_show_in_level_flight_and_in_the_density(sound):
     """CL = m g/(qbar S): 5700 x 9.80665/(0.5 x 0.0016 x 6400 x 28) is some 390."""
     record = changed(sound, without=("altitude", "dynamic_pressure", "mach"), density=sound["density"] / SLUG)
-    (told,) = [f for f in findings(record) if f.fault == "load"]
-    assert told.grave
-    assert told.channel == "density"
-    assert "correct the unit of one of them" in told.sentence
-    told = [f for f in air_data(changed(sound, altitude=sound["altitude"] / FOOT), card(**AIR)) if f.fault == "unit"]
-    assert [f.channel for f in told][:1] == ["altitude"]
-    assert 'set unit = "ft" for altitude' in told[0].sentence
+    (finding,) = [f for f in findings(record) if f.fault == "load"]
+    assert (finding.channel, finding.grave) == ("density", True)
+    assert "correct the unit of one of them" in finding.sentence
+    feet = changed(sound, altitude=sound["altitude"] / FOOT)
+    finding, *_ = [f for f in air_data(feet, card(**AIR)) if f.fault == "unit"]
+    assert finding.channel == "altitude"
+    assert 'set unit = "ft" for altitude' in finding.sentence
 
 
 def test_a_constant_or_derived_density_is_held_against_the_altitude(sound):
     record = changed(sound, without=("density", "dynamic_pressure", "mach"))
     assert [*air_data(record, card(constants={"density": "0.82 kg/m^3"}))] == []
-    (told,) = air_data(record, card(constants={"density": "1.225 kg/m^3"}))  # sea level's, at 4 km
-    assert (told.fault, told.channel, told.grave) == ("density", "density", True)
+    (finding,) = air_data(record, card(constants={"density": "1.225 kg/m^3"}))  # sea level's, at 4 km
+    assert (finding.fault, finding.channel, finding.grave) == ("density", "density", True)
 
     def derived(record):
         made = replace(card(**AIR), derived={"density": "dynamic pressure"})
@@ -108,55 +103,35 @@ def test_airspeed_dynamic_pressure_and_mach_number_are_held_against_each_other(s
     fast = changed(sound, airspeed=sound["airspeed"] * (M / sound["mach"]), mach=np.full(sound.n, M))
     q = 0.5 * fast["density"] * fast["airspeed"] ** 2
     assert [*air_data(changed(fast, dynamic_pressure=q), card(**AIR))] == []
-    (told,) = air_data(changed(sound, without=("density", "dynamic_pressure"), airspeed=sound["airspeed"] / KNOT),
-                     card(**AIR))  # fmt: skip
-    assert (told.channel, told.fault, told.grave) == ("airspeed", "unit", True)
-    assert 'unit = "kt"' in told.sentence
-
-
-needs_book = pytest.mark.skipif(not BOOK.is_dir(), reason="the records of the book are not in ../shared/book")
-ATTAS = {
-    "time": (1, "s"), "ax": (2, "m/s^2"), "ay": (3, "m/s^2"), "az": (4, "m/s^2"), "p": (7, "deg/s"), "q": (8, "deg/s"),
-    "r": (9, "deg/s"), "phi": (10, "deg"), "theta": (11, "deg"), "psi": (12, "deg"), "alpha": (13, "deg"),
-    "beta": (14, "deg"), "airspeed": (15, "m/s"), "altitude": (16, "ft"), "p_dot": (17, "deg/s^2"),
-    "q_dot": (18, "deg/s^2"), "r_dot": (19, "deg/s^2"), "calibrated_airspeed": (21, "kt"), "elevator": (22, "deg"),
-    "mach": (31, "1"), "static_temperature": (32, "K"), "static_pressure": (33, "hPa"), "density": (34, "kg/m^3"),
-}  # fmt: skip
-
-
-def book(name, **changes):
-    """A record of the book with the columns of cases.md, and what is said of it."""
-    places = ATTAS | changes
-    channels = tuple(Channel(key, unit, None, column) for key, (column, unit) in places.items())
-    record = read_record(BOOK / name, channels)
-    ours = replace(card(), channels=channels)
-    return [*air_data(record, ours)]
+    knots = changed(sound, without=("density", "dynamic_pressure"), airspeed=sound["airspeed"] / KNOT)
+    (finding,) = air_data(knots, card(**AIR))
+    assert (finding.channel, finding.fault, finding.grave) == ("airspeed", "unit", True)
+    assert 'unit = "kt"' in finding.sentence
 
 
 @needs_book
 @pytest.mark.parametrize("name", ["fAttasElv1_pqrDot.asc", "fAttasAil1_pqrDot.asc", "fAttasRud1_pqrDot.asc"])
 def test_the_records_of_the_book_are_silent_in_their_units(name):
-    assert book(name) == []
+    attas = read_card("full_six")
+    assert [*air_data(read_record(BOOK / name, attas.channels), attas)] == []
 
 
 FORWARD_LEFT_UP, LATERAL = ("ay", "az", "q", "r", "theta", "psi"), ("phi", "psi", "beta", "p", "r", "ay")
 FLU, AFT = (f"the axes of the sensors are {axes}" for axes in ("x forward, y left, z up", "x aft, y right, z up"))
+IN_PITCH = (*LATERAL, "altitude")
 AXES = [  # channels that are missing, turned, exchanged; the fault and words of the sentence
     ((), FORWARD_LEFT_UP, (), "axes", FLU),
-    ((), ("ay", "az", "q", "r"), (), "axes", FLU),  # angles as we have them
     ((), ("q", "r", "theta", "psi"), (), "axes", "the axes of the rates are x forward, y left, z up"),
     ((), ("ax", "az", "p", "r"), (), "axes", AFT),
     ((), ("az", "r"), (("ax", "ay"), ("p", "q")), "axes", "the axes of the sensors are x right, y forward, z up"),
     ((), ("ay", "az"), (), "sign", ""),  # two wrong signs are as likely
-    ((), ("p", "r"), (), "sign", ""),
     ((), ("ax", "ay", "az"), (), "sign", ""),  # of the other hand
-    *(((), (name,), (), "sign", "") for name in ("q", "p", "r", "phi", "theta", "alpha", "az", "ax")),
-    *((missing, turned, (), fault, named) for missing in (LATERAL, (*LATERAL, "altitude")) for turned, fault, named in (
-        (("q", "az", "theta"), "axes", FLU), (("q", "az", "theta", "alpha"), "axes", FLU),
-        (("q", "az"), "sign", f"as where {FLU}"), (("ax", "az"), "sign", f"as where {AFT}"),  # or two wrong signs
-        (("ax", "az", "q"), "sign", ""),  # of the other hand
-        (("q", "ax"), "sign", "as where the axes of the sensors are x aft, y left, z down"),  # turned about z
-        *(((name,), "sign", "") for name in ("ax", "az", "q", "theta", "alpha")))),
+    ((), ("q",), (), "sign", ""),
+    (IN_PITCH, ("q", "az", "theta"), (), "axes", FLU),
+    (LATERAL, ("q", "az"), (), "sign", f"as where {FLU}"),  # or two wrong signs
+    (IN_PITCH, ("ax", "az", "q"), (), "sign", ""),  # of the other hand
+    (LATERAL, ("q", "ax"), (), "sign", "as where the axes of the sensors are x aft, y left, z down"),  # turned about z
+    (LATERAL, ("az",), (), "sign", ""),
 ]  # fmt: skip
 
 
@@ -165,31 +140,24 @@ def test_axes_and_signs_are_named_and_the_advice_followed_gives_a_sound_record(
     missing, turned, exchanged, fault, named
 ):
     """The frame is that of the file; each channel that changes is in the advice, and no other."""
-    true = changed(flight(1, bank=0.0) if missing else flight(0), without=missing)
+    true = changed(flight(1, seconds=30.0, bank=0.0) if missing else flight(0, seconds=30.0), without=missing)
     other = {name: -true[name] for name in turned}
-    for one, two in exchanged:
-        other |= {one: true[two], two: true[one]}
+    for first, second in exchanged:
+        other |= {first: true[second], second: true[first]}
     record = changed(true, **other)
     findings = [f for f in channel_health([record], card_of(missing)) if f.grave]
     assert {f.fault for f in findings} == {fault}
     assert len(findings) == 1 or not named
     assert named in findings[0].sentence
     assert not missing or ("axes" in findings[0].sentence) == bool(named)
-    advised = [re.search(r"sign = -1 at ([\w, ]+) on the card", f.sentence)[1].split(", ") for f in findings]
+    advised = [re.findall(r"sign = -1 at ([\w, ]+) on the card", f.sentence)[0].split(", ") for f in findings]
     assert sorted(name for names in advised for name in names) == sorted(turned)
-    places = dict([*exchanged, *((two, one) for one, two in exchanged)])
+    places = dict([*exchanged, *(pair[::-1] for pair in exchanged)])
     followed = card_of(missing, **{
         name: {"unit": UNITS[name], "label": places.get(name, name), "sign": -1 if name in turned else 1}
         for name in (*turned, *places)
     })  # fmt: skip
     assert channel_health([read_as(record, followed)], followed) == ()
-
-
-def test_an_altitude_that_counts_downward_is_told():
-    record = flight(0)
-    findings = [f for f in channel_health([changed(record, altitude=8000.0 - record["altitude"])], card()) if f.grave]
-    assert {f.fault for f in findings} == {"sign"}
-    assert "altitude" in findings[0].sentence
 
 
 def card_of(missing, **changes):
@@ -213,9 +181,11 @@ FRAMES = {  # the program's channel i is read from the file's channel order[i], 
 SENSORS = (("p", "q", "r"), ("ax", "ay", "az"))
 
 
-@pytest.mark.parametrize(("axes", "seed"), [(axes, k % 2) for k, axes in enumerate(FRAMES)])
-@pytest.mark.parametrize("wrong", range(4))
-def test_axes_are_named_despite_errors_of_scale_and_never_where_single_signs_are_wrong(axes, wrong, seed):
+@pytest.mark.parametrize(("axes", "seed", "wrong"), [
+    pytest.param(axes, k % 2, wrong, marks=() if wrong == (0, 0, 1, 3, 0)[k] else pytest.mark.verify)
+    for k, axes in enumerate(FRAMES) for wrong in range(4)
+])  # fmt: skip
+def test_axes_are_named_despite_errors_of_scale_and_never_where_single_signs_are_wrong(axes, seed, wrong):
     """Up to four sensors are off by a scale of 0.75 to 1.33, and `wrong` of all channels count the other way."""
     rng = np.random.default_rng([seed, wrong, *axes.encode()])
     frame = tuple(zip(*FRAMES[axes], strict=True))
@@ -225,11 +195,11 @@ def test_axes_are_named_despite_errors_of_scale_and_never_where_single_signs_are
     true = {name: scales.get(name, 1.0) * record[name] for name in kinds}
     filed = true | {kind[j]: s * true[kind[i]] for kind in SENSORS for i, (j, s) in enumerate(frame)}
     flipped = rng.choice(kinds, wrong, replace=False)
-    found = channel_health([changed(record, **(filed | {name: -filed[name] for name in flipped}))], card())
-    named = [re.search(r"the axes of the sensors are (x \w+, y \w+, z \w+) \(", f.sentence) for f in found]
+    findings = channel_health([changed(record, **(filed | {name: -filed[name] for name in flipped}))], card())
+    named = [re.search(r"the axes of the sensors are (x \w+, y \w+, z \w+) \(", f.sentence) for f in findings]
     if wrong:
         assert {m[1] for m in named if m} <= {axes}
-        assert all(f.fault != "axes" or "sensors" in f.sentence for f in found)
+        assert all(f.fault != "axes" or "sensors" in f.sentence for f in findings)
     else:
         assert [m[1] for m in named if m] == ([] if axes == "x forward, y right, z down" else [axes])
 
@@ -256,30 +226,30 @@ def gusty(record, size=1.5):
 
 
 @pytest.mark.parametrize(("seed", "factor", "gust"), [
-    (0, 1.85, 0.0), (1, 1.944 * 0.95, 0.0), (2, 1.5, 1.0), (0, 0.7, 1.0), (1, 1.5, 1.0),
+    (0, 1.85, 0.0), (2, 1.5, 1.0), (0, 0.7, 1.0),
 ])  # fmt: skip
-def test_a_factor_of_the_airspeed_is_told_with_its_error_and_no_bias(seed, factor, gust):
-    record = gusty(flight(seed, dt=0.02), gust)
-    said = channel_health([changed(record, airspeed=factor * record["airspeed"])], card())
-    assert [(f.channel, f.fault, f.grave) for f in said] == [("airspeed", "factor", True)]
-    size, error = (float(x) for x in re.search(r"is ([\d.]+) \+- ([\d.]+) times", said[0].sentence).groups())
+def test_a_factor_of_the_airspeed_is_reported_with_its_error_and_no_bias(seed, factor, gust):
+    record = gusty(flight(seed, 0.02, 40.0), gust)
+    (finding,) = channel_health([changed(record, airspeed=factor * record["airspeed"])], card())
+    assert (finding.channel, finding.fault, finding.grave) == ("airspeed", "factor", True)
+    size, error = (float(x) for x in re.findall(r"is ([\d.]+) \+- ([\d.]+) times", finding.sentence)[0])
     assert abs(size - factor) < 3.0 * error < 0.1
     assert channel_health([record], card()) == ()
 
 
 def test_a_turn_without_manoeuvres_leaves_bias_and_factor_open():
     """V r cos(phi) = g sin(phi) of a level turn of 15 deg: k times the airspeed is sin(15 deg) (1/k - 1) g of ay."""
-    n, phi, V = 1501, np.deg2rad(15.0), 80.0
+    n, phi, V = 751, np.deg2rad(15.0), 80.0
     rng, turn = np.random.default_rng(7), G / V * np.tan(phi)
-    flown = {"phi": phi, "psi": turn * 0.04 * np.arange(n), "p": 0.0, "r": turn * np.cos(phi), "ay": 0.0, "beta": 0.0}
-    record = flight(0)
-    flown |= {"q": turn * np.sin(phi), "theta": 0.0, "alpha": 0.0, "ax": 0.0, "az": -G / np.cos(phi), "airspeed": V}
-    noisy = {k: x + NOISE[k] * rng.standard_normal(n) for k, x in flown.items()}
-    for wrong in ({"airspeed": 0.4 * noisy["airspeed"]}, {"ay": noisy["ay"] + 1.5 * np.sin(phi) * G}):
-        said = channel_health([changed(record, without=("altitude", "elevator"), **noisy | wrong)], card())
-        (finding,) = [f for f in said if f.channel in ("ay", "airspeed")]
-        assert (finding.fault, finding.channel) == ("bias", "ay")
-        assert "in a turn, a factor of the airspeed" in finding.sentence
+    true = {"phi": phi, "psi": turn * 0.04 * np.arange(n), "p": 0.0, "r": turn * np.cos(phi), "ay": 0.0, "beta": 0.0}
+    record = flight(0, seconds=30.0)
+    true |= {"q": turn * np.sin(phi), "theta": 0.0, "alpha": 0.0, "ax": 0.0, "az": -G / np.cos(phi), "airspeed": V}
+    noisy = {k: x + NOISE[k] * rng.standard_normal(n) for k, x in true.items()}
+    noisy["airspeed"] *= 0.4
+    findings = channel_health([changed(record, without=("altitude", "elevator"), **noisy)], card())
+    (finding,) = [f for f in findings if f.channel in ("ay", "airspeed")]
+    assert (finding.fault, finding.channel) == ("bias", "ay")
+    assert "in a turn, a factor of the airspeed" in finding.sentence
 
 
 def off_by_a_tenth(record, rng, _):
@@ -299,8 +269,8 @@ def off_by_half(record, rng, seed):
 
 
 @pytest.mark.parametrize(("errors", "seed", "none"), [
-    *((off_by_a_tenth, seed, {"unit", "airspeed_kind", "gravity", "load", "sign", "axes"}) for seed in range(4)),
-    *((off_by_half, seed, {"unit", "gravity", "load"}) for seed in range(6)),
+    *((off_by_a_tenth, seed, {"unit", "airspeed_kind", "gravity", "load", "sign", "axes"}) for seed in range(1, 2)),
+    *((off_by_half, seed, {"unit", "gravity", "load"}) for seed in range(3)),
 ])  # fmt: skip
 def test_no_unit_is_claimed_of_sensors_with_errors_of_scale_bias_and_sign(errors, seed, none):
     """All units are right."""
@@ -310,34 +280,21 @@ def test_no_unit_is_claimed_of_sensors_with_errors_of_scale_bias_and_sign(errors
 
 
 @pytest.mark.parametrize(("size", "without"), [
-    (0.16 * G, ()), (-0.16 * G, ("beta",)), (0.16 * G, ("psi", "altitude")),
+    (-0.16 * G, ("beta",)), (0.16 * G, ("psi", "altitude")),
 ])  # fmt: skip
 def test_a_mean_lateral_acceleration_is_a_bias_with_its_size(size, without):
     """asin 0.16 is 9.2 deg of tilt; the card that states the bias is left alone."""
-    record = changed(flight(0), without=without, ay=flight(0)["ay"] + size)
+    record = flight(0)
+    record = changed(record, without=without, ay=record["ay"] + size)
     (finding,) = channel_health([record], card())
     assert (finding.fault, finding.channel) == ("bias", "ay")
-    told = re.search(r"off by ([+-][\d.]+) m/s\^2 \(([+-][\d.]+) g\).* tilt of ([\d.]+) deg", finding.sentence)
-    assert [float(x) for x in told.groups()] == pytest.approx([size, size / G, 9.2], rel=0.05)
+    numbers = re.findall(r"off by ([+-][\d.]+) m/s\^2 \(([+-][\d.]+) g\).* tilt of ([\d.]+) deg", finding.sentence)
+    assert [float(x) for x in numbers[0]] == pytest.approx([size, size / G, 9.2], rel=0.05)
     assert channel_health([record], replace(card(), effects=("attached_lift", "accel_y_bias"))) == ()
 
 
-def test_time_in_another_unit_is_told():
+def test_time_in_another_unit_is_reported():
     record = flight(22, 0.2)
-    found = channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
-    (finding,) = [f for f in found if f.fault == "unit"]
+    findings = channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
+    (finding,) = [f for f in findings if f.fault == "unit"]
     assert 'unit = "s" for it on the card' in finding.sentence
-
-
-@pytest.mark.skipif(not TRIALS.is_dir(), reason="the small inputs of a user are not in ../shared/trials")
-def test_the_axes_of_a_simulated_stall_are_named_and_its_elevator_is_not_blamed():
-    """README of the inputs: sensors x forward, y left, z up. Yaw rate and heading turn together there."""
-    attas = read_card("attas")
-    record = read_record(TRIALS / "axes_flu.csv", attas.channels)
-    (finding,) = [f for f in channel_health([record], attas) if f.grave]
-    assert finding.fault == "axes"
-    assert "x forward, y left, z up" in finding.sentence
-    assert set(re.search(r"sign = -1 at ([\w, ]+) on", finding.sentence)[1].split(", ")) == set(FORWARD_LEFT_UP)
-    channels = tuple(replace(c, sign=-1) if c.name in FORWARD_LEFT_UP else c for c in attas.channels)
-    followed = replace(attas, channels=channels)
-    assert channel_health([read_record(TRIALS / "axes_flu.csv", channels)], followed) == ()

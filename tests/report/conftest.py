@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import arviz_base as azb
 import jax.numpy as jnp
@@ -140,14 +141,14 @@ def hyperparameters():
 
 def gp_fit() -> GPFit:
     """A fit that has its hyperparameters' draws and nothing else: all that reports look at."""
-    found = object.__new__(GPFit)
-    object.__setattr__(found, "posterior", hyperparameters())
-    return found
+    fit = object.__new__(GPFit)
+    object.__setattr__(fit, "posterior", hyperparameters())
+    return fit
 
 
 def gaussian_process(o: Observations, errors: Mapping[str, float], mle_error: float = 0.01) -> GPReport:
     """Every split the records allow; `errors` gives the GP's error by split."""
-    kinds = [k for k in ("random", "block", "manoeuvre") if k != "manoeuvre" or len(o.names) > 1]
+    kinds: list[Any] = [k for k in ("random", "block", "manoeuvre") if k != "manoeuvre" or len(o.names) > 1]
     splits = {
         kind: [
             {n: validation(o, fold.test_idx, i, errors[kind], mle_error) for i, n in enumerate(NAMES)}

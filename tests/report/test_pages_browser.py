@@ -3,25 +3,13 @@
 import re
 from dataclasses import replace
 
+import browsing
 import numpy as np
+import pandas as pd
 import pytest
-from browsing import (
-    HEIGHTS,
-    RANGES,
-    SEEN,
-    can_be_read_by_everyone,
-    drag,
-    fits_a_phone,
-    has_a_unit_on_every_axis,
-    needed,
-    opened,
-    says_in_words_what_figures_show,
-)
-from report_samples import CARD, flight, records, study_told
+from report_samples import CARD, flight, records, study_context
 
-from bayes_aero.flight.columns import Guess
-from bayes_aero.flight.reading import RawColumn
-from bayes_aero.jobs.preparing import Starter
+from bayes_aero.jobs.preparing import starter_card
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures import posterior
 from bayes_aero.report.figures.every_figure import draw_all
@@ -33,7 +21,7 @@ from bayes_aero.report.pages.parts import PageContext
 from bayes_aero.report.pages.study import study_page
 from bayes_aero.report.pages.trajectories import trajectories
 
-pytestmark = needed
+pytestmark = browsing.needed
 
 HOSTILE = """<img src=x onerror=alert(1)>$$x^2$$"'&_a_name_that_is_long_enough_to_leave_a_phone"""
 DRAWN = {
@@ -66,30 +54,23 @@ def report(full, simulated, card, tmp_path_factory):
 @pytest.fixture
 def fresh(browser, report):
     """A page that may be changed."""
-    page = opened(browser, report)
+    page = browsing.opened(browser, report)
     yield page
     page.context.close()
 
 
-@pytest.fixture
-def phone(browser, report):
-    """The same on a phone."""
-    page = opened(browser, report, 390, is_mobile=True, has_touch=True)
-    yield page
-    page.context.close()
-
-
-@pytest.mark.parametrize("name", ["report", "fly_report"])
-def test_it_draws_in_silence_and_zooms_with_all_axes(request, browser, name):
-    fresh = opened(browser, request.getfixturevalue(name))
-    before = fresh.evaluate(RANGES)
-    if name == "report":
-        assert len(before) >= 6  # two manoeuvres, two halves as identified, two flown unseen
-    else:
-        assert [len(panels) for panels in before] == [4, 4]  # alpha, q, az and the elevator, for either flight
+def test_it_draws_in_silence_and_zooms_with_all_axes(fresh):
+    before = fresh.evaluate(browsing.RANGES)
+    assert len(before) >= 6  # two manoeuvres, two halves as identified, two flown unseen
     fresh.locator("#plot-0").scroll_into_view_if_needed()
-    drag(fresh, "#plot-0", 0.25, 0.5)
-    after = fresh.evaluate(RANGES)
+    box, y = fresh.locator("#plot-0").bounding_box(), fresh.evaluate("scrollY")
+    fresh.mouse.move(box["x"] + 300.0, box["y"] + 100.0)
+    fresh.mouse.wheel(0, 200)  # alone it scrolls the page
+    fresh.wait_for_function(f"scrollY > {y + 50}")
+    assert fresh.evaluate(browsing.RANGES) == before
+    fresh.locator("#plot-0").scroll_into_view_if_needed()
+    browsing.drag(fresh, "#plot-0", 0.25, 0.5)
+    after = fresh.evaluate(browsing.RANGES)
     (start, end) = after[0][0]
     (left, right) = before[0][0]
     assert left < start < end < right
@@ -100,50 +81,30 @@ def test_it_draws_in_silence_and_zooms_with_all_axes(request, browser, name):
     fresh.mouse.wheel(0, 300)
     fresh.keyboard.up("Control")
     fresh.wait_for_timeout(300)
-    wider = fresh.evaluate(RANGES)[0]
+    wider = fresh.evaluate(browsing.RANGES)[0]
     assert wider[0][1] - wider[0][0] > end - start
     assert all(panel == wider[0] for panel in wider)
     assert fresh.heard == []
-    fresh.context.close()
 
 
 def test_a_stretch_of_time_fills_its_panels(fresh):
-    whole = fresh.evaluate(HEIGHTS)
+    whole = fresh.evaluate(browsing.HEIGHTS)
     fresh.locator("#plot-0").scroll_into_view_if_needed()
-    drag(fresh, "#plot-0", 0.8, 0.9)
+    browsing.drag(fresh, "#plot-0", 0.8, 0.9)
     # Bokeh redraws when the browser has time for it.
-    closer = f"whole => ({HEIGHTS})().some(([bottom, top], i) => top - bottom < 0.5 * (whole[i][1] - whole[i][0]))"
-    fresh.wait_for_function(closer, arg=whole)
-    heights, seen = fresh.evaluate(HEIGHTS), fresh.evaluate(SEEN)
+    closer = f"({browsing.HEIGHTS})().some(([bottom, top], i) => top - bottom < 0.5 * (whole[i][1] - whole[i][0]))"
+    fresh.wait_for_function(f"whole => {closer}", arg=whole)
+    heights, seen = fresh.evaluate(browsing.HEIGHTS), fresh.evaluate(browsing.SEEN)
     for (bottom, top), (a, b), (low, high) in zip(heights, whole, seen, strict=True):
         assert bottom <= low <= high <= top
         assert b - a > 0.999 * (top - bottom)
     fresh.locator("#plot-0").locator(".bk-tool-icon-reset").first.click()
-    fresh.wait_for_function(f"whole => JSON.stringify(({HEIGHTS})()) === JSON.stringify(whole)", arg=whole)
-
-
-def test_a_wheel_alone_scrolls_the_page(fresh):
-    fresh.locator("#plot-0").scroll_into_view_if_needed()
-    box, before = fresh.locator("#plot-0").bounding_box(), fresh.evaluate(RANGES)
-    fresh.mouse.move(box["x"] + 300.0, box["y"] + 100.0)
-    y = fresh.evaluate("scrollY")
-    fresh.mouse.wheel(0, 200)
-    fresh.wait_for_function(f"scrollY > {y + 50}")
-    assert fresh.evaluate(RANGES) == before
-
-
-def test_a_plot_on_a_phone_is_woken_by_a_tap(phone):
-    wake = phone.locator(".wake").first  # until it is tapped, a swipe over the plot scrolls the page
-    assert wake.is_visible()
-    wake.scroll_into_view_if_needed()
-    wake.tap()
-    assert not wake.is_visible()
-    assert phone.heard == []
+    fresh.wait_for_function(f"whole => JSON.stringify(({browsing.HEIGHTS})()) === JSON.stringify(whole)", arg=whole)
 
 
 def test_it_prints_with_everything_open_and_the_plots_as_drawn(fresh):
     fresh.locator("#plot-0").scroll_into_view_if_needed()
-    drag(fresh, "#plot-0", 0.25, 0.5)
+    browsing.drag(fresh, "#plot-0", 0.25, 0.5)
     closed = fresh.evaluate("document.querySelectorAll('details:not([open])').length")
     assert closed >= 3
     fresh.evaluate(
@@ -170,47 +131,35 @@ def test_it_prints_with_everything_open_and_the_plots_as_drawn(fresh):
     )
     assert ink > 2000
     assert not fresh.locator(".bk-Toolbar, .wake").first.is_visible()
-    assert fresh.heard == []
-
-
-def test_no_table_is_broader_than_the_sheet(fresh):
     fresh.set_viewport_size({"width": 703, "height": 1047})  # A4 between its margins
-    fresh.emulate_media(media="print")
-    fresh.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true })")
-    ends = fresh.evaluate(
-        "[...document.querySelectorAll('.table:not(.broad) table')].map((t) => t.getBoundingClientRect().right)"
-    )
+    fresh.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true })")
+    tables = "[...document.querySelectorAll('.table:not(.broad) table')]"
+    ends = fresh.evaluate(f"{tables}.map((t) => t.getBoundingClientRect().right)")
     assert len(ends) >= 5
-    assert max(ends) <= 704
+    assert max(ends) <= 704  # no table is broader than the sheet
+    assert fresh.heard == []
 
 
 @pytest.fixture(scope="module")
 def fly_report(tmp_path_factory):
-    found = flight()
-    source = provenance(CARD, records(), 0, {"windows": 12.0})
-    page = fly_page(found.flown, PageContext(CARD, records(), source, {}, replace(found, notes=("A note.",))))
+    fit, source = flight(), provenance(CARD, records(), 0, {"windows": 12.0})
+    page = fly_page(fit.flown, PageContext(CARD, records(), source, {}, replace(fit, notes=("A note.",))))
     return write_page(page, tmp_path_factory.mktemp("fly") / "report.html")
 
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
-    return write_page(study_page(study_told(folder, failed=(2,))), folder / "report.html")
+    return write_page(study_page(study_context(folder, failed=(2,))), folder / "report.html")
 
 
 @pytest.fixture(scope="module")
 def starter(tmp_path_factory):
-    time = np.arange(0.0, 40.0, 0.04)
-    found = [
-        Guess("time", RawColumn("Time_s", 1, time), "s", 1, "the heading"),
-        Guess("alpha", RawColumn("AOA_deg", 2, 5.0 + np.sin(time)), "deg", 1, "the heading"),
-        Guess("az", RawColumn("A_COLUMN_WITH_A_LONG_NAME_<i>", 3, 1.0 + 0.1 * np.sin(time)), "g", -1, "its median"),
-        Guess("thrust", RawColumn("FN", 4, 900.0 + time), None, 1, "the heading; " * 9),
-    ]
-    unknown = [RawColumn("XYZZY", 5, time)]
-    card = Starter("", [("mass", "of the flight")], {guess.channel: guess for guess in found}, unknown)
-    page = card_page(card, "N1.csv", "N1.toml", provenance(None, [], None, {}))
-    return write_page(page, tmp_path_factory.mktemp("card") / "report.html")
+    path, time = tmp_path_factory.mktemp("card") / "N1.csv", np.arange(0.0, 40.0, 0.04)
+    columns = {"Time_s": time, "AOA_deg": 5.0 + np.sin(time), "A_COLUMN_WITH_A_LONG_NAME_<i>": time, "FN": 900.0 + time}
+    pd.DataFrame(columns | {"NZ_g": 1.0 + 0.1 * np.sin(time)}).to_csv(path, index=False)
+    page = card_page(starter_card(path), "N1.csv", "N1.toml", provenance(None, [], None, {}))
+    return write_page(page, path.parent / "report.html")
 
 
 PAGES = {  # how many figures it has at least, and whether they are over time
@@ -222,15 +171,21 @@ PAGES = {  # how many figures it has at least, and whether they are over time
 @pytest.mark.parametrize("name", PAGES)
 def test_everyone_can_read_a_page_on_a_desk_and_a_phone_and_it_calls_nobody(request, browser, name):
     (figures, over_time), report = PAGES[name], request.getfixturevalue(name)
-    page, phone = opened(browser, report), opened(browser, report, 390, is_mobile=True, has_touch=True)
-    can_be_read_by_everyone(page)
-    says_in_words_what_figures_show(page, figures)
+    page, phone = (
+        browsing.opened(browser, report),
+        browsing.opened(browser, report, 390, is_mobile=True, has_touch=True),
+    )
+    browsing.can_be_read_by_everyone(page)
+    browsing.says_in_words_what_figures_show(page, figures)
     if over_time:
-        has_a_unit_on_every_axis(page)
-    if name == "starter":
-        assert page.locator(".box.wider").count() == 0
-        assert page.locator("[data-plot]").count() == (2 if name == "starter" else 0)
-    fits_a_phone(phone)
+        browsing.has_a_unit_on_every_axis(page)
+        wake = phone.locator(".wake").first  # until it is tapped, a swipe over the plot scrolls the page
+        assert wake.is_visible()
+        wake.scroll_into_view_if_needed()
+        wake.tap()
+        assert not wake.is_visible()
+
+    browsing.fits_a_phone(phone)
     assert page.heard == phone.heard == []
-    for one in (page, phone):
-        one.context.close()
+    page.context.close()
+    phone.context.close()
