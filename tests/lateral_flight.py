@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -77,18 +77,20 @@ def motion(seed: int) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def can_simulate(effect: Effect) -> bool:
-    """Whether these records have what an effect acts through."""
-    have = {*motion(0), *CONTROLS, "ax", "ay", "az"}
-    return effect.disturbance is None and set(effect.channels) <= have
+@cache
+def lateral_effects() -> tuple[Effect, ...]:
+    """Those of the card, and of the lateral axis and of a canard all through which these records may act."""
+    have, on_card = {*motion(0), *CONTROLS, "ax", "ay", "az"}, three_axis_card().effects
+    lateral = [e for e in CATALOGUE.values() if e.axes == (Axis.LATERAL,) or e.name.startswith("canard")]
+    flown = [e for e in lateral if e.disturbance is None and set(e.channels) <= have]
+    return tuple(e for e in CATALOGUE.values() if e in flown or e.name in on_card)
 
 
-@lru_cache
+@cache
 def models() -> tuple[Model, Model]:
-    """Everything of both axes that flies, and that misrecords."""
-    known = [e for e in CATALOGUE.values() if can_simulate(e)]
-    channel = [e for e in known if e.stage is Stage.CHANNEL]
-    return Model.of([e for e in known if e not in channel], axes=BOTH), Model.of(channel, axes=BOTH)
+    """What flies, and what misrecords: one model each, whatever is hidden."""
+    channel = [e for e in lateral_effects() if e.stage is Stage.CHANNEL]
+    return Model.of([e for e in lateral_effects() if e not in channel], axes=BOTH), Model.of(channel, axes=BOTH)
 
 
 def values(hidden: Mapping[str, float]) -> dict[str, float]:
@@ -130,9 +132,9 @@ def _balanced(known, given, aircraft):
     return controls, felt(controls)[0], jnp.max(jnp.abs(out_of_balance(controls)))
 
 
-def flown(hidden: Mapping[str, float] | None = None, seed: int = 0, noise: float = 1.0) -> FlightRecord:
+def flown(hidden: Mapping[str, float], seed: int) -> FlightRecord:
     """One record of the true aircraft with what is hidden in it."""
-    card, v = three_axis_card(), values(hidden or {})
+    card, v = three_axis_card(), values(hidden)
     given = motion(seed)
     known = {name: jnp.asarray(x, float) for name, x in v.items()}  # of one type, or each flight compiles anew
     aircraft = models()[0].actual_aircraft(known, card.aircraft)
@@ -144,5 +146,5 @@ def flown(hidden: Mapping[str, float] | None = None, seed: int = 0, noise: float
     true = {name: np.asarray(x) for name, x in true.items() if not name.endswith("_dot")}
     recorded = misrecorded(models()[1], v, true, plain_marks(SAMPLES, DT, 0), card.aircraft)
     rng = np.random.default_rng([seed, 1])
-    recorded = {k: x + noise * NOISE.get(k, 0.0) * rng.standard_normal(SAMPLES) for k, x in recorded.items()}
+    recorded = {k: x + NOISE.get(k, 0.0) * rng.standard_normal(SAMPLES) for k, x in recorded.items()}
     return FlightRecord.from_arrays(f"flight_{seed}", np.arange(SAMPLES) * DT, recorded, "simulated")
