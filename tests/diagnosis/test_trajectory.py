@@ -167,6 +167,7 @@ def test_a_lag_whose_fit_breaks_down_is_a_failure_and_not_no_lag(monkeypatch, br
         monkeypatch.setattr(where, name, given if name == "_with_lag" else lambda *_, given=given, **__: given)
     ended = Mock(side_effect=SearchedError)
     monkeypatch.setattr(searches.Search, "_with_terms", ended)
+    monkeypatch.setattr(searches.Search, "_inside", lambda _, fit: fit)
     given = dict.fromkeys(("card", "model", "settings")) | {"progress": lambda *_: None}
     with pytest.raises(SearchedError):
         part(searches.Search, records=(), extra=(), seed=0, **given).trajectories()
