@@ -425,16 +425,13 @@ def test_fixed_errors_of_sensor_and_mass_are_taken_out(card, model, clean_record
     clean = clean_records[0]
     wrong = {**clean.channels, "q": clean["q"] * 1.1, "alpha": clean["alpha"] + 0.01}
     record = FlightRecord.from_arrays(clean.name, clean.time, wrong)
-    errors = {"pitch_rate_scale": 0.1, "alpha_bias": 0.01}
+    errors = {"pitch_rate_scale": 0.1, "alpha_bias": 0.01, "mass_scale": 0.05}
+    lighter = replace(card, aircraft=replace(card.aircraft, mass=card.aircraft.mass / 1.05))
     extended = Model.of([*card.effects, *errors], {**card.fixed, **errors})
-    expected, freed = observe([clean], card, model), observe([record], card, extended)
+    expected, freed = observe([clean], card, model), observe([record], lighter, extended)
     np.testing.assert_allclose(freed.measured, expected.measured, atol=1e-10)
     assert set(freed.signals) == set(expected.signals)
-    extended = Model.of([*card.effects, "mass_scale"], {**card.fixed, "mass_scale": 0.05})
-    light, heavy = (observe(clean_records[:1], card, m) for m in (model, extended))
-    assert heavy.aircraft.mass == pytest.approx(1.05 * card.aircraft.mass)
-    ratio = np.asarray(heavy.measured[:, 0] / light.measured[:, 0])
-    assert 1.04 < np.median(ratio) < 1.06
+    assert freed.aircraft.mass == pytest.approx(card.aircraft.mass)
 
 
 @pytest.mark.parametrize("name", ["alpha_bias", "mass_scale"])

@@ -289,7 +289,7 @@ def test_a_residual_model_is_one_class(state):
     truth[own] = 8.0
     sensitivities = state.responses.linearise(state.theta)[1][:, :3]
     measured = sensitivities @ truth
-    measured = measured + 0.05 * measured.std(axis=0) * rng.standard_normal(measured.shape)
+    measured = measured + 0.01 * measured.std(axis=0) * rng.standard_normal(measured.shape)
     straight = Straight(state.responses.flights, full.model, measured, sensitivities)
     assert screen(linearised(full, straight, NAMES, state.theta)).candidate_scores[0].effect == "pitch_rate_lift"
     fitted = refitted(linearised(full, straight, NAMES, state.theta, active=("pitch_rate_lift",)))

@@ -73,6 +73,7 @@ def compared(card, hidden, causes, *, begin=20.0, end=60.0):
     searched = part(Extension, base=state, state=state)
     asked, eliminate = [], hold_out.eliminate
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(result, "WINDOW", end)  # near enough to need no shorter ones
         patch.setattr(hold_out, "open_lag", lambda whole, *_: whole.lag)
         patch.setattr(hold_out, "eliminate", lambda *given: asked.append(given) or eliminate(*given))
         diagnosis = part(Diagnosis, causes=tuple(map(cause, causes)), aerodynamics=searched)
