@@ -11,17 +11,7 @@ from gusty_flight import gusty_flight
 from stranger import flown
 from stranger_six import drawn, fly
 
-from bayes_aero.diagnosis.consistency import (
-    LIGHT_TURBULENCE,
-    Blocks,
-    KnownErrors,
-    consistency,
-    errors_of_path,
-    gusts,
-    in_gusts,
-    screen_sensor_errors,
-    sensor_noise,
-)
+from bayes_aero.diagnosis import consistency as sensors
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.selection import filtered_channels, recording_noise
 from bayes_aero.diagnosis.selection_state import DiagnosisSettings
@@ -63,7 +53,7 @@ def test_gusts_have_the_spectrum_of_dryden(across):
     """MIL-F-8785C: variance one; autocorrelation exp(-t/T), across the path (1 - t/2T) exp(-t/T), T = L/V."""
     dt, V = 0.1, 80.0
     T = 533.0 / V
-    drawn = gusts(np.random.default_rng(4), 400, 1500, dt, V, across=across)
+    drawn = sensors.gusts(np.random.default_rng(4), 400, 1500, dt, V, across=across)
     assert drawn.std() == pytest.approx(1.0, abs=0.03)
     for lag in (5, 20, 60):
         t = lag * dt
@@ -77,13 +67,13 @@ def test_noise_is_read_off_a_channel_or_the_card_s(sound, card):
     assert noise_of(x) == pytest.approx(0.02, rel=0.05)
     quiet = replace(card, sensors={**card.sensors, "alpha": 0.01})
     channels = {name: np.asarray(x) for name, x in sound.channels.items()}
-    assert sensor_noise(channels, quiet)[1]["alpha"] == 0.01
-    assert sensor_noise(channels, card)[1]["alpha"] == pytest.approx(np.radians(0.05))
+    assert sensors.sensor_noise(channels, quiet)[1]["alpha"] == 0.01
+    assert sensors.sensor_noise(channels, card)[1]["alpha"] == pytest.approx(np.radians(0.05))
 
 
 @pytest.mark.parametrize(("seed", "noise"), [(7002, "buffet"), (7003, "outliers")])
 def test_sound_records_agree(card, seed, noise):
-    found = consistency(hidden_records({}, seed=seed, noise=noise), card)
+    found = sensors.consistency(hidden_records({}, seed=seed, noise=noise), card)
     assert found.agreement is Agreement.AGREE
     assert found.departures == ()
 
@@ -106,7 +96,7 @@ FAULTS = {  # what is recorded, the channels of which one at least must be named
 @pytest.mark.parametrize("name", FAULTS)
 def test_faults_disagree_and_the_channel_is_named(sound, card, name):
     fault, channels = FAULTS[name]
-    checked = consistency([changed(sound, **fault(sound))], card, seek=False)
+    checked = sensors.consistency([changed(sound, **fault(sound))], card, seek=False)
     assert checked.agreement is Agreement.UNEXPLAINED
     assert channels & {d.channel for d in checked.departures}
     assert all(d.rms > d.permitted > 0.0 for d in checked.departures)
@@ -119,7 +109,7 @@ def test_faults_disagree_and_the_channel_is_named(sound, card, name):
 @pytest.mark.parametrize(("lost", "agreement"), [("altitude", Agreement.AGREE), ("theta", Agreement.NOT_CHECKED)])
 def test_what_cannot_be_checked_is_said(sound, card, lost, agreement):
     without = FlightRecord.from_arrays("a", sound.time, {k: v for k, v in sound.channels.items() if k != lost})
-    checked = consistency([without], card, seek=False)
+    checked = sensors.consistency([without], card, seek=False)
     assert checked.agreement is agreement
     assert checked.unchecked == ("altitude",) or lost == "theta"
 
@@ -128,18 +118,18 @@ def test_light_turbulence_is_permitted_and_a_gust_of_one_channel_is_not(sound, c
     """Air is alike in all directions: what only the vane feels is no gust."""
     rng = np.random.default_rng(3)
     V, n = np.asarray(sound["airspeed"]), sound.n
-    ahead = 0.6 * gusts(rng, 1, n, sound.dt, 80.0, across=False)[0]
-    up, side = (0.6 * gusts(rng, 1, n, sound.dt, 80.0, across=True)[0] / V for _ in range(2))
+    ahead = 0.6 * sensors.gusts(rng, 1, n, sound.dt, 80.0, across=False)[0]
+    up, side = (0.6 * sensors.gusts(rng, 1, n, sound.dt, 80.0, across=True)[0] / V for _ in range(2))
     everywhere = changed(sound, airspeed=V + ahead, alpha=sound["alpha"] + up, beta=sound["beta"] + side)
-    found = consistency([everywhere], card, seek=False)
+    found = sensors.consistency([everywhere], card, seek=False)
     assert found.agreement is Agreement.AGREE
-    assert 0.3 < found.recorded[0].turbulence <= LIGHT_TURBULENCE
+    assert 0.3 < found.recorded[0].turbulence <= sensors.LIGHT_TURBULENCE
     assert found.recorded[0].gusts == pytest.approx(0.6, rel=0.3)
-    assert in_gusts([everywhere], card) == {everywhere.name: found.recorded[0].gusts}
+    assert sensors.in_gusts([everywhere], card) == {everywhere.name: found.recorded[0].gusts}
     one = changed(sound, alpha=sound["alpha"] + 3.0 * up)
-    alone = consistency([one], card, seek=False)
+    alone = sensors.consistency([one], card, seek=False)
     assert {d.channel for d in alone.departures} >= {"alpha"}
-    assert in_gusts([one], card) == {}
+    assert sensors.in_gusts([one], card) == {}
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -147,8 +137,8 @@ def test_a_record_is_in_gusts_whatever_moves_the_aircraft(seed):
     """By a simulator that shares no code: gusts move it, too, and are not those of the measure."""
     card = read_card("hfb320")
     calm, light = (gusty_flight(seed, gust={"w": size, "u": size}) for size in (0.0, 0.6))
-    assert in_gusts([calm], card) == {}
-    (size,) = in_gusts([light], card).values()
+    assert sensors.in_gusts([calm], card) == {}
+    (size,) = sensors.in_gusts([light], card).values()
     assert 0.4 < size < 1.4
 
 
@@ -160,14 +150,14 @@ def test_an_error_of_one_sensor_is_no_gust(card, error):
     else:
         sound = hidden_records({}, seed=5)
         records = [changed(r, beta=np.interp(r.time - 0.25, r.time, r["beta"])) for r in sound]
-    assert in_gusts(records, card) == {}
+    assert sensors.in_gusts(records, card) == {}
 
 
 def test_an_error_that_the_card_states_is_taken_out(card, sound):
     biased = changed(sound, q=sound["q"] + 0.008)
     stated = replace(card, effects=(*card.effects, "pitch_rate_bias"), fixed={**card.fixed, "pitch_rate_bias": 0.008})
-    assert consistency([biased], card, seek=False).agreement is Agreement.UNEXPLAINED
-    assert consistency([biased], stated, seek=False).agreement is Agreement.AGREE
+    assert sensors.consistency([biased], card, seek=False).agreement is Agreement.UNEXPLAINED
+    assert sensors.consistency([biased], stated, seek=False).agreement is Agreement.AGREE
 
 
 def test_noise_is_read_off_the_record_where_it_was_not_filtered(card, clean_records):
@@ -320,9 +310,9 @@ def bare(card):
     return replace(card, aircraft=replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0)), constants={}, sums={})
 
 
-def searched(record: FlightRecord, card) -> tuple[KnownErrors, Consistency]:
-    errors = errors_of_path(screen_sensor_errors([record], card))
-    return errors, consistency([record], card, known=errors)
+def searched(record: FlightRecord, card) -> tuple[sensors.KnownErrors, Consistency]:
+    errors = sensors.errors_of_path(sensors.screen_sensor_errors([record], card))
+    return errors, sensors.consistency([record], card, known=errors)
 
 
 def test_an_offset_of_the_attitude_is_told_with_the_accelerometers_that_look_the_same(bare):
@@ -420,7 +410,7 @@ def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_a
     # A vane 9 deg off is no error that vanes have and is not corrected; the airspeed is judged beside it.
     record = misread(card, airspeed_bias=-3.0)
     record = changed(record, alpha=record.channels["alpha"] + np.radians(9.0))
-    errors = errors_of_path(screen_sensor_errors([record], card)).errors
+    errors = sensors.errors_of_path(sensors.screen_sensor_errors([record], card)).errors
     assert list(errors) == ["airspeed_bias"]
     size = errors["airspeed_bias"]["parameters"]["airspeed_bias"]
     assert size["mean"] == pytest.approx(-3.0, abs=4.0 * size["sd"])
@@ -451,12 +441,12 @@ BOOM, LAG = 13.08, 0.15  # m, s: at 80 m/s x/V is .16 s, so that each is what th
 def test_a_boom_is_called_a_boom_and_a_lag_a_lag(card, name, true):
     """By kinematics alone: no aerodynamics enters, and each is the other's nearest rival."""
     records = hidden_records({name: {name: true}}, seed=620, noise="ar1", seconds=90.0)
-    found = screen_sensor_errors(records, card)
+    found = sensors.screen_sensor_errors(records, card)
     assert found.causes == (name,)
     size = found.sizes[name]
     assert abs(size.mean - true) < 3.0 * size.sd
     assert 1.96 * size.sd < 0.15 * true
-    judged = Blocks(found.state)  # by stretches of the flights
+    judged = sensors.Blocks(found.state)  # by stretches of the flights
     assert size.sd >= 0.999 * np.sqrt(judged.judge(name)[1][0, 0])
     assert judged.p_value(name) < 1e-3
 
@@ -492,7 +482,7 @@ def test_lateral_sensors_elsewhere_or_late_are_told_apart(tmp_path, name):
         dot = {n: np.gradient(flight[n], flight["time"]) for n in "pqr"}
         flight |= BESIDE[name][1](flight, dot) if name else {}
         records.append(six_axes.record(kind, flight, rng))
-    found = screen_sensor_errors(records, six_axes.card_in(tmp_path, plane))
+    found = sensors.screen_sensor_errors(records, six_axes.card_in(tmp_path, plane))
     assert found.causes == (() if name is None else (name,))
     if name is not None:
         size = found.sizes[name]

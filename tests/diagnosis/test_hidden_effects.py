@@ -37,8 +37,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.physics.aircraft import required_of
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.simulate.demo import Request
-from bayes_aero.simulate.injection import Beyond, flyable, hidden_flights, hidden_records, synthetic
+from bayes_aero.simulate.injection import Beyond, flyable, hidden_flights, hidden_records
 
 # Hide effects, or nothing, in simulated flights and diagnose them; every effect is in test_candidates.py, and the full
 # study in benchmarks
@@ -304,7 +303,6 @@ def test_no_cause_is_sure_that_a_form_of_a_nonlinear_fighter_explains_as_well(se
     assert {term.coefficient for term in found.terms} >= {"CL", "Cm"}
 
 
-# An effect in two unlike manoeuvres: the gain of an addition by itself in closed form, and a whole diagnosis
 def test_the_gain_is_the_bayes_factor_under_the_other_fold_s_posterior():
     """One addition, no parameter of the card: each fold's evidence with the normal prior that the other fold gives.
 
@@ -333,23 +331,6 @@ def test_the_gain_is_the_bayes_factor_under_the_other_fold_s_posterior():
         with_it = integrated_deviance(products, prior, 1.0, fold, np.array([0, 1]), nothing)
         found += integrated_deviance(products, prior, 1.0, fold, nothing, nothing) - with_it
     assert found == pytest.approx(expected, rel=0.02)
-
-
-@pytest.mark.verify
-def test_what_a_stall_and_a_multistep_show_is_named(card):
-    """A fit to the multistep alone has no stall, with the effect or without."""
-    hidden = {"alpha_dot_lift": {"CLadot": -9.5}}
-    asked = {"elevator_3211": {}, "slow_stall": {"amplitude": 1.5, "airspeed": 114.7, "altitude": 5200.0}}
-    records = [
-        synthetic(Request(hidden, seed=53600 + 50 * k, manoeuvre=name, **more), card, CATALOGUE, name=name).record
-        for k, (name, more) in enumerate(asked.items())
-    ]
-    found = diagnose(records, card, seed=536, settings=ALONE)
-    (cause,) = found.causes
-    size = cause.parameters["CLadot"]
-    assert cause.name == "alpha_dot_lift"
-    assert not found.unknown
-    assert abs(size.mean + 9.5) < 3.0 * size.sd
 
 
 @pytest.mark.recovery

@@ -199,14 +199,6 @@ def test_deviation_of_a_coloured_sum_is_its_closed_form(a):
     assert found == pytest.approx(exact, rel=0.2)  # low by a few per cent: the mean is taken out, lags are tapered
 
 
-def test_stretches_that_are_not_neighbours_are_independent():
-    """A series that jumps between its stretches: as one the colour counts across the jumps, as twenty it does not."""
-    rng = np.random.default_rng(7)
-    values = np.repeat(rng.standard_normal(20), 50)
-    apart = standard_error_of_sum(values, [50] * 20)
-    assert apart < standard_error_of_sum(values, [len(values)])
-
-
 def test_a_comparison_by_manoeuvre_is_the_difference_of_plain_scores():
     """Two manoeuvres, three coefficients: R2 and normal log densities formed by hand."""
     rng, m, second, inflation = np.random.default_rng(4132), 900, 350, 3.0

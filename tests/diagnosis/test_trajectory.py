@@ -34,14 +34,6 @@ from bayes_aero.diagnosis.selection_state import (
     candidate_model,
     constants_of_manoeuvres,
 )
-from bayes_aero.diagnosis.trajectories import (
-    fit_disagreements,
-    flown_mode,
-    flown_modes,
-    fly_given,
-    motion_of,
-    still_apart,
-)
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.trim import Steady
 from bayes_aero.effect import Effect, Example, Kind, Stage
@@ -234,7 +226,8 @@ def test_the_truth_flies_what_was_recorded_and_a_wrong_derivative_does_not(card)
     record = simulate_stall(0, card=card, sensor_noise=0.0, disturbance=0.0)
     flights, band = join([record], card, FLIGHT), {"alpha": np.radians(2.0), "theta": np.radians(2.0)}
     (path,), (wrong,) = (
-        fly_given(flights, Model.from_card(card), TRUTH | moved, band) for moved in ({}, {"Cma": 0.7 * TRUTH["Cma"]})
+        hold_out.fly_given(flights, Model.from_card(card), TRUTH | moved, band)
+        for moved in ({}, {"Cma": 0.7 * TRUTH["Cma"]})
     )
     assert path.inside
     assert path.errors["alpha"].rms < np.radians(0.1)
@@ -320,13 +313,13 @@ def fits(status=MleStatus.CONVERGED, converged=True, at_bound=(), held=()):
 
 
 def test_what_differs_beyond_both_intervals_is_told_and_the_filter_decides():
-    (apart,) = fit_disagreements(*fits())
+    (apart,) = hold_out.fit_disagreements(*fits())
     assert (apart.name, apart.coefficients, apart.trajectories) == ("CLa", (4.34, 0.14), (3.37, 0.15))
     assert apart.apart == pytest.approx(0.97 / np.hypot(0.14, 0.15))
     unusable = {"status": MleStatus.NOT_CONVERGED, "converged": False, "at_bound": ("CLa",), "held": ("CLa",)}
-    assert [fit_disagreements(*fits(**{name: x})) for name, x in unusable.items()] == [()] * 4
+    assert [hold_out.fit_disagreements(*fits(**{name: x})) for name, x in unusable.items()] == [()] * 4
     for CLa, still in ((4.33, ()), (3.4, ("CLa",))):
-        assert still_apart([apart], Mock(spec=ProcessNoise, estimates={"CLa": (CLa, 0.05)})) == still
+        assert hold_out.still_apart([apart], Mock(spec=ProcessNoise, estimates={"CLa": (CLa, 0.05)})) == still
 
 
 # Modes of a fit with standard errors, against closed forms
@@ -344,7 +337,7 @@ def linear():
 def test_errors_of_first_order_are_those_of_draws(value):
     rng = np.random.default_rng(5)
     covariance = np.array([[4e-6, 1e-6 if value.imag else 0.0], [1e-6 if value.imag else 0.0, 9e-6 * (value.imag > 0)]])
-    mode = flown_mode("some", value, covariance)
+    mode = hold_out.flown_mode("some", value, covariance)
     s, w = rng.multivariate_normal([value.real, value.imag], covariance, 20000).T
     drawn = {
         "period": 2.0 * np.pi / w if value.imag else None, "damping_ratio": -s / np.hypot(s, w),
@@ -359,19 +352,21 @@ def test_errors_of_first_order_are_those_of_draws(value):
 
 
 def test_modes_without_a_known_sign_an_error_or_a_converged_fit(linear):
-    assert flown_mode("spiral", 0.01 + 0.0j, np.diag([1e-4, 0.0])).quantities == {}
-    assert math.isinf(flown_mode("Dutch roll", 0.1 + 1.0j, np.full((2, 2), np.inf)).quantities["damping_ratio"][1])
+    assert hold_out.flown_mode("spiral", 0.01 + 0.0j, np.diag([1e-4, 0.0])).quantities == {}
+    assert math.isinf(
+        hold_out.flown_mode("Dutch roll", 0.1 + 1.0j, np.full((2, 2), np.inf)).quantities["damping_ratio"][1]
+    )
     for undetermined, known in (("Mq", False), ("az0", True)):
-        (mode,) = flown_modes(replace(linear.fit, undetermined=(undetermined,)), Steady(1.0, 0.0))
+        (mode,) = hold_out.flown_modes(replace(linear.fit, undetermined=(undetermined,)), Steady(1.0, 0.0))
         assert math.isfinite(mode.quantities["period"][1]) is known
         assert math.isfinite(mode.quantities["damping_ratio"][1]) is known
-    assert motion_of(replace(linear, fit=replace(linear.fit, status=OutputErrorStatus.NOT_CONVERGED))) is None
-    assert math.isnan(motion_of(linear).airspeed)  # of a linear card
+    assert hold_out.motion_of(replace(linear, fit=replace(linear.fit, status=OutputErrorStatus.NOT_CONVERGED))) is None
+    assert math.isnan(hold_out.motion_of(linear).airspeed)  # of a linear card
 
 
 def test_modes_spread_as_draws_of_the_parameters_of_the_better_fit(linear):
     """Linear short period: eigenvalues in closed form, of draws from the covariance of the estimates."""
-    (mode,) = flown_modes(linear.fit, Steady(1.0, 0.0))
+    (mode,) = hold_out.flown_modes(linear.fit, Steady(1.0, 0.0))
     names = list(linear.fit.names)
     draws = np.random.default_rng(2).multivariate_normal(linear.fit.estimate, linear.fit.corrected, 20000).T
     Zalpha, Mq, Malpha = (draws[names.index(n)] for n in ("Zalpha", "Mq", "Malpha"))
@@ -389,12 +384,14 @@ def test_modes_spread_as_draws_of_the_parameters_of_the_better_fit(linear):
     estimates = {n: (float(x), 0.0) for n, x in zip(linear.fit.names, linear.fit.estimate, strict=True)} | changed
     estimates = dict(reversed(estimates.items()))
     covariance = np.diag([sd**2 for _, sd in estimates.values()])
-    moved = motion_of(linear, Mock(spec=ProcessNoise, preferred=True, estimates=estimates, covariance=covariance))
+    moved = hold_out.motion_of(
+        linear, Mock(spec=ProcessNoise, preferred=True, estimates=estimates, covariance=covariance)
+    )
     assert moved.filtered
     (mode,) = moved.modes
     w = np.sqrt(1.3 * 1.1 + 9.0 - 1.2**2)
     assert mode.eigenvalue == pytest.approx(-1.2 + 1j * w)
     slopes = np.array([(-1.3 + 1.2) / (2.0 * w), -1.0 / (2.0 * w)])  # of w by Mq and Malpha
     assert mode.sd == pytest.approx((0.02, float(np.hypot(*(slopes * [0.04, 0.2])))), rel=1e-3)
-    worse = motion_of(linear, Mock(spec=ProcessNoise, preferred=False))
-    assert (worse.filtered, worse.modes) == (False, motion_of(linear).modes)
+    worse = hold_out.motion_of(linear, Mock(spec=ProcessNoise, preferred=False))
+    assert (worse.filtered, worse.modes) == (False, hold_out.motion_of(linear).modes)
