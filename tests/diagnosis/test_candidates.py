@@ -98,6 +98,11 @@ def test_sizes_worth_modelling_are_in_the_card_s_lengths(card, clean_records):
     roll, lengths = CATALOGUE["roll_damping"], lengths_of(halved.aircraft)
     assert sized(roll, lengths).sizes["Clp"] == pytest.approx([2.0 * x for x in roll.sizes["Clp"]])
     assert sized(roll, lengths) is sized(roll, lengths), "a model is hashed by its effects"
+    # Of the catalogue's transport with 21.5 m of span a vane is at most 20 m ahead, of a trainer with 10 m 9.3 m.
+    vane = CATALOGUE["vane_position"]
+    transport, trainer = (sized(vane, lengths_of(replace(a, half_span=x))) for x in (10.75, 5.0))
+    assert transport is vane
+    assert trainer.sizes["vane_position"] == pytest.approx((3.0 * 10.0 / 21.5, 20.0 * 10.0 / 21.5))
 
 
 @pytest.mark.parametrize("swing", [0.0, 0.05])

@@ -20,13 +20,10 @@ from bayes_aero.diagnosis.selection import Extension, LeftOut, backward_eliminat
 from bayes_aero.diagnosis.selection_state import DEFAULT, CandidateModel, SelectionState, linearised
 from bayes_aero.diagnosis.trajectories import left_out_of
 from bayes_aero.dynamics.segments import SegmentTrajectories
-from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import OpenError
 from bayes_aero.inference.results import Scores
-from bayes_aero.model.model import lengths_of
-from bayes_aero.physics.aircraft import NAMES, NO_AIRCRAFT
+from bayes_aero.physics.aircraft import NAMES
 from bayes_aero.report.pages.diagnosis import diagnosis_sentences, verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
 
@@ -299,18 +296,6 @@ def test_the_verdict_rests_on_what_is_confirmed_and_likely():
 ])  # fmt: skip
 def test_sizes_that_no_aircraft_has_are_implausible(parameter, effect, mean, sd, largest):
     assert implausible(CATALOGUE[effect], {parameter: result.Size(mean, sd, "1")}) == largest
-
-
-def test_a_vane_stands_ahead_in_the_aircraft_s_lengths():
-    """Of the catalogue's transport with 21.5 m of span 20 m at most, of a trainer with 10 m 9.3."""
-    vane, aircraft = CATALOGUE["vane_position"], read_card("attas").aircraft
-    transport, trainer = (sized(vane, lengths_of(replace(aircraft, half_span=x))) for x in (10.75, 5.0))
-    assert transport is vane
-    assert trainer.sizes["vane_position"] == pytest.approx((3.0 * 10.0 / 21.5, 20.0 * 10.0 / 21.5))
-    recorded = {"vane_position": result.Size(15.0, 1.0, "m")}
-    assert not implausible(transport, recorded)
-    assert implausible(trainer, recorded)
-    assert sized(CATALOGUE["alpha_bias"], lengths_of(NO_AIRCRAFT)) is CATALOGUE["alpha_bias"]
 
 
 def test_sizes_that_no_sensor_or_aircraft_has_are_said(diagnosed):

@@ -286,19 +286,6 @@ def test_gusts_have_their_size_and_nothing_is_found_where_nothing_is_hidden(hfb3
         assert abs(length - LENGTH) < 3.0 * length_sd
 
 
-@pytest.mark.parametrize("name", ["airspeed_scale", "alpha_scale", "CLa", "Cma2"])
-def test_sensitivities_of_innovations_match_finite_differences(gusty, name):
-    """An error of scale makes the sensor's noise larger, too, which its sensitivity must hold."""
-    state = gusty[0].model.base
-    at = state.full.columns([name])[0]
-    directions = np.zeros((16, len(state.theta)))
-    directions[0, at] = 1.0
-    _, slope = state.responses.slopes(state.theta, directions)
-    up, down = (state.responses.evaluate(state.theta + sign * STEP * directions[0])[0] for sign in (1, -1))
-    difference = (np.asarray(down) - np.asarray(up)) / (2.0 * STEP)
-    np.testing.assert_allclose(slope[0], difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
-
-
 @pytest.mark.parametrize(("way", "factors", "tolerances"), [
     (AddedCoefficients, ("alpha", "alpha", "qhat"), (1e-9, 1e-4)),
     (AddedToFilter, ("elevator", "CT"), (1e-8, 5e-4)),  # the card's tail arm is 1e9 m

@@ -36,7 +36,6 @@ from bayes_aero.diagnosis.selection_state import (
 )
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.trim import Steady
-from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
@@ -45,10 +44,9 @@ from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.results import part_of_errors
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
-from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
-from bayes_aero.simulate.injection import Beyond, hidden_records
+from bayes_aero.simulate.injection import hidden_records
 
 # The simulation before and after the extension: what unseen flights keep of it, and of a lag of the separation point
 SEED = 4132
@@ -193,32 +191,6 @@ def test_an_offset_of_a_coefficient_in_one_manoeuvre_is_its_constant_there():
     for k in range(3):
         np.testing.assert_array_equal(constants[manoeuvre == k, :, k], S[manoeuvre == k, :, 1])
         assert not constants[manoeuvre != k, :, k].any()
-
-
-@pytest.mark.verify
-@pytest.mark.parametrize("compared", ["trajectories", "innovations"])
-def test_a_channel_that_labels_manoeuvres_explains_no_offset_of_simulated_flights(compared, card):
-    """Lift 0.06 larger in the second flight, flown with flaps that hardly move: the offset is reported, and no flap."""
-    made = Parameter("CLstep", "1", 0.0, 0.0, "more lift", Prior("normal", 0.0, 1.0), (-1.0, 1.0))
-    step = Effect(
-        "lift_step", Kind.AERODYNAMICS, Stage.ATTACHED, "More lift.", (made,), ("alpha",),
-        lambda v, s, a, flow: {"CL_attached": v["CLstep"] + 0.0 * s["alpha"]},  # noqa: ARG005
-        Example({"CLstep": 0.1}, {"alpha": 0.1}, {"CL_attached": 0.1}, "by hand"), "by hand",
-    )  # fmt: skip
-    records = []
-    for k, (more, flap) in enumerate(((0.0, 0.0), (0.06, 0.2))):
-        beyond = Beyond((step,), lambda _, more=more: {"CLstep": more})
-        flight = hidden_records({}, seed=77, noise="white", seconds=30.0, beyond=beyond)[k]
-        moved = {"flap": flap + 0.004 * np.sin(0.3 * np.asarray(flight.time) + k)}
-        records.append(without_accelerometers(replace(flight, channels={**flight.channels, **moved})))
-    found = diagnose(records, card, settings=DiagnosisSettings(gains=False, process_noise=compared == "innovations"))
-    assert found.compared == compared
-    assert not found.causes
-    (offset,) = found.unknown
-    assert (offset.coefficient, offset.channel) == ("CL", "manoeuvre")
-    ((size, sd),) = offset.offsets.values()
-    assert size == pytest.approx(0.06, abs=3.0 * sd)
-    assert "flap_lift" in offset.rivals
 
 
 def test_the_truth_flies_what_was_recorded_and_a_wrong_derivative_does_not(card):
