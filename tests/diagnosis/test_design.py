@@ -16,7 +16,6 @@ from bayes_aero.dynamics.pilot import commands
 from bayes_aero.dynamics.trim import Trim, trimmed
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import (
@@ -129,8 +128,7 @@ def test_trim_is_level_flight_and_commands_begin_there(state):
 
 # Which standard manoeuvre tells which lateral effects apart: flown in six degrees of freedom
 CANDIDATES_SIX = (
-    "thrust_asymmetry", "lateral_cg_shift", "roll_offset", "yaw_offset", "sideslip_bias", "aileron_delay",
-    "aileron_scale",
+    "thrust_asymmetry", "lateral_cg_shift", "roll_offset", "yaw_offset", "aileron_delay", "aileron_scale",
 )  # fmt: skip
 PLANE = Plane(**six.ATTACHED)
 
@@ -138,19 +136,14 @@ PLANE = Plane(**six.ATTACHED)
 @pytest.fixture(scope="module")
 def state_six(tmp_path_factory):
     """The card's model at the truth of an aileron and a rudder manoeuvre, with a few candidates."""
-    card, rng, records = six.card_in(tmp_path_factory.mktemp("card"), PLANE), np.random.default_rng(1), []
-    for kind in ("aileron", "rudder"):
-        channels = six.recorded(stranger_six.fly(PLANE, kind, rng), rng)
-        channels["thrust"] = channels["thrust_left"] + channels["thrust_right"]
-        time = channels.pop("time")
-        records.append(FlightRecord.from_arrays(kind, time, channels, "simulated"))
+    card, rng = six.card_in(tmp_path_factory.mktemp("card"), PLANE), np.random.default_rng(1)
+    records = [six.record(kind, stranger_six.fly(PLANE, kind, rng), rng) for kind in ("aileron", "rudder")]
     own = Model.from_card(card)
     candidates = tuple(CATALOGUE[name] for name in CANDIDATES_SIX)
     parameters = (*own.parameters, *(p for e in candidates for p in e.parameters))
     whole = replace(own, effects=(*own.effects, *candidates), parameters=parameters)
     full = CandidateModel(whole, tuple(e.name for e in own.effects), candidates, {})
-    known = six.values(PLANE, whole)
-    theta = np.array([float(known[name]) for name in whole.names])
+    theta = np.array([getattr(PLANE, p.name, p.neutral) for p in whole.free])
     responses = EquationError.of(join(records, card), whole)
     return linearised(full, responses, responses.outputs, theta)
 
