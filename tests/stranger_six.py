@@ -167,42 +167,27 @@ class Fighter(Small):
     chord ahead of the reference. Source: E. A. Morelli, "Global nonlinear parametric modeling with application to F-16
     aerodynamics", American Control Conference, 1998."""
 
-    curved: tuple[float, ...] = (1.0,) * 6  # factors of what is not linear: CX, CZ, CY, Cl, Cm, Cn
-    levels_off: float = 0.0  # slope of CZ that is lost above 0.25 rad, as in a table
-    saturates: float = 0.0  # slope of Cm that is gained above 0.2 rad
-    falls: float = 0.0  # share of the elevator's moment that is lost, per rad^2 of deflection
-    CmqAlpha: float = 0.0
-
     def coefficients(self, x: np.ndarray, controls: np.ndarray) -> np.ndarray:
         V, a, beta = self.air_data(x)
         de, da, dr = controls[:3]
         ph, qh, rh = x[3] * self.b / (2.0 * V), x[4] * self.c / (2.0 * V), x[5] * self.b / (2.0 * V)
-        kX, kZ, kY, kl, km, kn = self.curved
 
-        def of(k: float, *factors: float, linear: int = 1) -> float:
-            return float(np.polyval([f * (1.0 if i < linear else k) for i, f in enumerate(factors)][::-1], a))
+        def of(*factors: float) -> float:
+            return float(np.polyval(factors[::-1], a))
 
-        CX = of(kX, -0.02, 0.21, 0.70, -0.90, linear=2) - kX * (0.29 * de**2 + 0.21 * a * de)
-        CX += of(kX, 0.5, 8.6, 11.0, -74.0, 61.0) * qh
-        CZ = of(kZ, -0.14, -4.2, 4.8, -10.0, 8.4, linear=2) * (1.0 - beta**2) - 0.44 * de
-        CZ += of(kZ, -30.0, -4.0, 50.0) * qh + self.levels_off * np.logaddexp(0.0, (a - 0.25) * 40.0) / 40.0
-        CY = -1.15 * beta + 0.06 * da + 0.16 * dr + of(kY, -0.1, 0.5) * ph + of(kY, 0.9, 0.5, -4.0) * rh
-        Cl = of(kl, -0.106, -0.58, 0.0, 3.5, -2.8) * beta + of(kl, -0.41, 0.2, 1.3) * ph
-        Cl += of(kl, 0.06, 0.5, 0.6) * rh + of(kl, -0.13, 0.02, 0.3) * da + of(kl, 0.02, 0.03, -0.1) * dr
-        Cm = of(1.0, -0.02, 0.05, 0.0) + of(km, -0.6, -0.08, 0.5) * de * (1.0 - self.falls * de**2)
-        Cm += 0.08 * km * de**2 + (of(km, -5.2, -3.6, -10.0) + self.CmqAlpha * a) * qh + 0.05 * CZ
-        Cm += self.saturates * np.logaddexp(0.0, (a - 0.2) * 30.0) / 30.0
-        Cn = of(kn, 0.30, 0.07, -2.1, 0.85) * beta + self.Cnbbb * beta**3 + of(kn, -0.03, -0.4, 0.6) * ph
-        Cn += of(kn, -0.37, -0.2, 0.5) * rh + of(kn, -0.03, 0.1) * da + of(kn, -0.09, 0.05, 0.2) * dr
+        CX = of(-0.02, 0.21, 0.70, -0.90) - (0.29 * de**2 + 0.21 * a * de)
+        CX += of(0.5, 8.6, 11.0, -74.0, 61.0) * qh
+        CZ = of(-0.14, -4.2, 4.8, -10.0, 8.4) * (1.0 - beta**2) - 0.44 * de
+        CZ += of(-30.0, -4.0, 50.0) * qh
+        CY = -1.15 * beta + 0.06 * da + 0.16 * dr + of(-0.1, 0.5) * ph + of(0.9, 0.5, -4.0) * rh
+        Cl = of(-0.106, -0.58, 0.0, 3.5, -2.8) * beta + of(-0.41, 0.2, 1.3) * ph
+        Cl += of(0.06, 0.5, 0.6) * rh + of(-0.13, 0.02, 0.3) * da + of(0.02, 0.03, -0.1) * dr
+        Cm = of(-0.02, 0.05, 0.0) + of(-0.6, -0.08, 0.5) * de
+        Cm += 0.08 * de**2 + of(-5.2, -3.6, -10.0) * qh + 0.05 * CZ
+        Cn = of(0.30, 0.07, -2.1, 0.85) * beta + of(-0.03, -0.4, 0.6) * ph
+        Cn += of(-0.37, -0.2, 0.5) * rh + of(-0.03, 0.1) * da + of(-0.09, 0.05, 0.2) * dr
         lift, drag = CX * np.sin(a) - CZ * np.cos(a), -CX * np.cos(a) - CZ * np.sin(a)
         return np.array([lift, drag, CY, Cl, Cm, Cn])
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator) -> Fighter:
-        """With other curves, and up to five things that are no polynomial of low order."""
-        odd = {"levels_off": 2.0, "saturates": -0.25, "falls": 4.0, "Cnbbb": -3.0, "CmqAlpha": -15.0}
-        chosen = {name: x * rng.uniform(0.5, 1.5) for name, x in odd.items() if rng.random() < 0.4}
-        return cls(curved=tuple(rng.uniform(0.4, 1.5, 6)), **chosen)
 
 
 def _kept(X: np.ndarray) -> np.ndarray:

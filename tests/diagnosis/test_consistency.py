@@ -8,26 +8,11 @@ import numpy as np
 import pytest
 import six_axes
 from gusty_flight import gusty_flight
-from parts import part
 from stranger import flown
 from stranger_six import drawn, fly
 
-from bayes_aero.diagnosis.consistency import (
-    LIGHT_TURBULENCE,
-    Blocks,
-    KnownErrors,
-    check_sensors,
-    consistency,
-    errors_of_path,
-    gusts,
-    in_gusts,
-    screen_sensor_errors,
-    sensor_noise,
-)
-from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.result import Size
-from bayes_aero.diagnosis.selection import Extension, filtered_channels, recording_noise
-from bayes_aero.diagnosis.selection_state import CandidateModel, DiagnosisSettings, SelectionState
+from bayes_aero.diagnosis import consistency as sensors
+from bayes_aero.diagnosis.selection import filtered_channels, recording_noise
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import Agreement, Consistency, noise_of
@@ -40,7 +25,6 @@ from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Forming, joined
-from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth
 from bayes_aero.physics.kinematics import LATERAL, PATH, Rotation, integral, lever_arm, path_rates, side_force
 from bayes_aero.report.pages.estimates import verdict
@@ -67,7 +51,7 @@ def test_gusts_have_the_spectrum_of_dryden(across):
     """MIL-F-8785C: variance one; autocorrelation exp(-t/T), across the path (1 - t/2T) exp(-t/T), T = L/V."""
     dt, V = 0.1, 80.0
     T = 533.0 / V
-    drawn = gusts(np.random.default_rng(4), 400, 1500, dt, V, across=across)
+    drawn = sensors.gusts(np.random.default_rng(4), 400, 1500, dt, V, across=across)
     assert drawn.std() == pytest.approx(1.0, abs=0.03)
     for lag in (5, 20, 60):
         t = lag * dt
@@ -81,13 +65,13 @@ def test_noise_is_read_off_a_channel_or_the_card_s(sound, card):
     assert noise_of(x) == pytest.approx(0.02, rel=0.05)
     quiet = replace(card, sensors={**card.sensors, "alpha": 0.01})
     channels = {name: np.asarray(x) for name, x in sound.channels.items()}
-    assert sensor_noise(channels, quiet)[1]["alpha"] == 0.01
-    assert sensor_noise(channels, card)[1]["alpha"] == pytest.approx(np.radians(0.05))
+    assert sensors.sensor_noise(channels, quiet)[1]["alpha"] == 0.01
+    assert sensors.sensor_noise(channels, card)[1]["alpha"] == pytest.approx(np.radians(0.05))
 
 
-@pytest.mark.parametrize(("seed", "noise"), [(7000, "white"), (7001, "ar1"), (7002, "buffet"), (7003, "outliers")])
+@pytest.mark.parametrize(("seed", "noise"), [(7002, "buffet"), (7003, "outliers")])
 def test_sound_records_agree(card, seed, noise):
-    found = consistency(hidden_records({}, seed=seed, noise=noise), card)
+    found = sensors.consistency(hidden_records({}, seed=seed, noise=noise), card)
     assert found.agreement is Agreement.AGREE
     assert found.departures == ()
 
@@ -101,7 +85,6 @@ def frozen(r):
 FAULTS = {  # what is recorded, the channels of which one at least must be named
     "frozen vane": (frozen, {"alpha"}),
     "ax without gravity": (lambda r: {"ax": r["ax"] - G * np.sin(r["theta"])}, {"airspeed"}),
-    "lateral accelerometer scaled and tilted": (lambda r: {"ay": 1.4 * r["ay"] + 0.03 * r["az"]}, {"beta"}),
     "yaw rate of the other sign": (lambda r: {"r": -r["r"]}, {"beta", "phi"}),
     "airspeed in another unit": (lambda r: {"airspeed": r["airspeed"] / 1.15}, {"airspeed", "altitude"}),
     "theta of another flight": (lambda r: {"theta": np.roll(r["theta"], 50)}, {"theta"}),
@@ -111,53 +94,53 @@ FAULTS = {  # what is recorded, the channels of which one at least must be named
 @pytest.mark.parametrize("name", FAULTS)
 def test_faults_disagree_and_the_channel_is_named(sound, card, name):
     fault, channels = FAULTS[name]
-    found = consistency([changed(sound, **fault(sound))], card, seek=False)
-    assert found.agreement is Agreement.UNEXPLAINED
-    assert channels & {d.channel for d in found.departures}
-    assert all(d.rms > d.permitted > 0.0 for d in found.departures)
+    checked = sensors.consistency([changed(sound, **fault(sound))], card, seek=False)
+    assert checked.agreement is Agreement.UNEXPLAINED
+    assert channels & {d.channel for d in checked.departures}
+    assert all(d.rms > d.permitted > 0.0 for d in checked.departures)
     if name == "frozen vane":
         begin, end = sound.time[900], sound.time[1100]
-        there = [d for d in found.departures if d.channel == "alpha"]
+        there = [d for d in checked.departures if d.channel == "alpha"]
         assert any(d.begin < end and begin < d.end and d.end - d.begin < 40.0 for d in there)
 
 
 @pytest.mark.parametrize(("lost", "agreement"), [("altitude", Agreement.AGREE), ("theta", Agreement.NOT_CHECKED)])
 def test_what_cannot_be_checked_is_said(sound, card, lost, agreement):
-    without = [FlightRecord.from_arrays("a", sound.time, {k: v for k, v in sound.channels.items() if k != lost})]
-    found = consistency(without, card, seek=False)
-    assert found.agreement is agreement
-    assert found.unchecked == ("altitude",) or lost == "theta"
+    without = FlightRecord.from_arrays("a", sound.time, {k: v for k, v in sound.channels.items() if k != lost})
+    checked = sensors.consistency([without], card, seek=False)
+    assert checked.agreement is agreement
+    assert checked.unchecked == ("altitude",) or lost == "theta"
 
 
 def test_light_turbulence_is_permitted_and_a_gust_of_one_channel_is_not(sound, card):
     """Air is alike in all directions: what only the vane feels is no gust."""
     rng = np.random.default_rng(3)
     V, n = np.asarray(sound["airspeed"]), sound.n
-    ahead = 0.6 * gusts(rng, 1, n, sound.dt, 80.0, across=False)[0]
-    up, side = (0.6 * gusts(rng, 1, n, sound.dt, 80.0, across=True)[0] / V for _ in range(2))
+    ahead = 0.6 * sensors.gusts(rng, 1, n, sound.dt, 80.0, across=False)[0]
+    up, side = (0.6 * sensors.gusts(rng, 1, n, sound.dt, 80.0, across=True)[0] / V for _ in range(2))
     everywhere = changed(sound, airspeed=V + ahead, alpha=sound["alpha"] + up, beta=sound["beta"] + side)
-    found = consistency([everywhere], card, seek=False)
+    found = sensors.consistency([everywhere], card, seek=False)
     assert found.agreement is Agreement.AGREE
-    assert 0.3 < found.recorded[0].turbulence <= LIGHT_TURBULENCE
+    assert 0.3 < found.recorded[0].turbulence <= sensors.LIGHT_TURBULENCE
     assert found.recorded[0].gusts == pytest.approx(0.6, rel=0.3)
-    assert in_gusts([everywhere], card) == {everywhere.name: found.recorded[0].gusts}
+    assert sensors.in_gusts([everywhere], card) == {everywhere.name: found.recorded[0].gusts}
     one = changed(sound, alpha=sound["alpha"] + 3.0 * up)
-    alone = consistency([one], card, seek=False)
+    alone = sensors.consistency([one], card, seek=False)
     assert {d.channel for d in alone.departures} >= {"alpha"}
-    assert in_gusts([one], card) == {}
+    assert sensors.in_gusts([one], card) == {}
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_record_is_in_gusts_whatever_moves_the_aircraft(seed):
     """By a simulator that shares no code: gusts move it, too, and are not those of the measure."""
     card = read_card("hfb320")
     calm, light = (gusty_flight(seed, gust={"w": size, "u": size}) for size in (0.0, 0.6))
-    assert in_gusts([calm], card) == {}
-    (size,) = in_gusts([light], card).values()
+    assert sensors.in_gusts([calm], card) == {}
+    (size,) = sensors.in_gusts([light], card).values()
     assert 0.4 < size < 1.4
 
 
-@pytest.mark.parametrize("error", ["airspeed_scale", "alpha_scale", "vane_position", "yaw_rate_scale", "late sideslip"])
+@pytest.mark.parametrize("error", ["airspeed_scale", "vane_position", "late sideslip"])
 def test_an_error_of_one_sensor_is_no_gust(card, error):
     if error in CATALOGUE:
         (parameter,) = CATALOGUE[error].parameters
@@ -165,14 +148,14 @@ def test_an_error_of_one_sensor_is_no_gust(card, error):
     else:
         sound = hidden_records({}, seed=5)
         records = [changed(r, beta=np.interp(r.time - 0.25, r.time, r["beta"])) for r in sound]
-    assert in_gusts(records, card) == {}
+    assert sensors.in_gusts(records, card) == {}
 
 
 def test_an_error_that_the_card_states_is_taken_out(card, sound):
     biased = changed(sound, q=sound["q"] + 0.008)
     stated = replace(card, effects=(*card.effects, "pitch_rate_bias"), fixed={**card.fixed, "pitch_rate_bias": 0.008})
-    assert consistency([biased], card, seek=False).agreement is Agreement.UNEXPLAINED
-    assert consistency([biased], stated, seek=False).agreement is Agreement.AGREE
+    assert sensors.consistency([biased], card, seek=False).agreement is Agreement.UNEXPLAINED
+    assert sensors.consistency([biased], stated, seek=False).agreement is Agreement.AGREE
 
 
 def test_noise_is_read_off_the_record_where_it_was_not_filtered(card, clean_records):
@@ -273,36 +256,20 @@ def test_steps_and_sharp_peaks_are_no_spikes_and_a_spike_beside_them_is(quiet, t
 
 
 # What smoothing one side only does to estimates: against the truth of an aircraft of another simulator
-MOMENT = ("Cmde", "Cma", "CmX")
-
-
-@pytest.fixture(scope="module")
-def stranger(tmp_path_factory):
-    """Truth, records, card, model and maximum likelihood of an aircraft whose doublets are fast."""
-    folder = tmp_path_factory.mktemp("stranger")
-    truth, _, files = flown(folder, np.random.default_rng([7, 31]), None)
-    card = read_card(str(folder / "card.toml"))
+def test_filtered_alike_the_moment_is_that_of_the_truth_and_the_note_says_so(tmp_path):
+    """An aircraft whose doublets are fast."""
+    truth, _, files = flown(tmp_path, np.random.default_rng([7, 31]), None)
+    card = read_card(str(tmp_path / "card.toml"))
     records, model = [read_record(path, card.channels) for path in files], Model.from_card(card)
-    return truth, records, card, model, fit_mle(model, observe(records, card, model, Forming.PUBLISHED))
-
-
-def test_filtered_alike_the_moment_is_that_of_the_truth_and_the_note_says_so(stranger):
-    truth, records, card, model, mle = stranger
+    run = identify(records, card, IdentifyOptions(coefficients="published", sample=False, gp=False))
     alike = fit_mle(model, observe(records, card, model)).estimate
-    for name in MOMENT:
-        i, true = mle.names.index(name), getattr(truth, name)
-        assert abs(alike[i] - true) < 0.5 * abs(mle.estimate[i] - true), name
+    for name in ("Cmde", "Cma", "CmX"):
+        i, true = run.mle.names.index(name), getattr(truth, name)
+        assert abs(alike[i] - true) < 0.5 * abs(run.mle.estimate[i] - true), name
         assert alike[i] == pytest.approx(true, rel=0.01), name
-    _, *given = stranger
-    (note,) = filter_mismatch_notes(*given)
+    note, *_ = verdict(run)
     assert "Cmde would be" in note
     assert "CD0" not in note
-    _, records, card, *_ = stranger
-    first, *_ = verdict(identify(records, card, IdentifyOptions(coefficients="published", sample=False, gp=False)))
-    assert "Cmde would be" in first
-    assert not any(
-        "would be" in said for said in verdict(identify(records, card, IdentifyOptions(sample=False, gp=False)))
-    )
 
 
 def test_no_word_where_slow_stalls_were_flown(attas_paths, card, model):
@@ -341,56 +308,44 @@ def bare(card):
     return replace(card, aircraft=replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0)), constants={}, sums={})
 
 
-def found_in(record: FlightRecord, card) -> tuple[KnownErrors, Consistency]:
-    known = errors_of_path(screen_sensor_errors([record], card))
-    return known, consistency([record], card, errors=known)
+def searched(record: FlightRecord, card) -> tuple[sensors.KnownErrors, Consistency]:
+    errors = sensors.errors_of_path(sensors.screen_sensor_errors([record], card))
+    return errors, sensors.consistency([record], card, errors=errors)
 
 
 def test_an_offset_of_the_attitude_is_told_with_the_accelerometers_that_look_the_same(bare):
     """Gravity in the body axes turns: ax by g b cos theta and az by g b sin theta do the same to V and alpha."""
-    known, found = found_in(level_flight(60.0, 1, theta=0.0125), bare)
-    assert found.unchecked == ("altitude", "beta", "phi")
-    told = {e.name: e for e in found.open}
-    entry = told["pitch_attitude_bias"]
+    b = 0.0125
+    errors, checked = searched(level_flight(60.0, 1, theta=b), bare)
+    assert checked.unchecked == ("altitude", "beta", "phi")
+    entry = {e.name: e for e in checked.open}["pitch_attitude_bias"]
     assert "accel_x_bias" in entry.imitators
     assert entry.among > 3.0 * entry.sd or entry.among > 0.005  # with those free it is not known as well
-    size = known.errors.get("pitch_attitude_bias", {}).get("parameters", {}).get("pitch_attitude_bias")
+    size = errors.errors.get("pitch_attitude_bias", {}).get("parameters", {}).get("pitch_attitude_bias")
     mean, sd = (size["mean"], size["sd"]) if size else (entry.mean, entry.sd)
-    assert mean == pytest.approx(0.0125, abs=max(4.0 * sd, 0.003))
-    assert any("pitch_attitude_bias" in one and "accel_x_bias" in one for one in open_sentences(found))
-    assert ConsistencyPart.of(found).open["pitch_attitude_bias"].imitators
+    assert mean == pytest.approx(b, abs=max(4.0 * sd, 0.003))
+    assert ConsistencyPart.of(checked).open["pitch_attitude_bias"].imitators
     # An offset b of theta and offsets of ax and az that stand for it give one and the same flight path.
-    b = 0.0125
     tilted = {"ax": -G * b * np.cos(0.12), "az": -G * b * np.sin(0.12)}
-    found = found_in(level_flight(60.0, 1, **tilted), bare)[1]
-    told = {e.name: e for e in found.open}
-    assert {"accel_x_bias", "pitch_attitude_bias"} <= set(told)
-    assert "pitch_attitude_bias" in told["accel_x_bias"].imitators
+    still_open = {e.name: e for e in searched(level_flight(60.0, 1, **tilted), bare)[1].open}
+    assert {"accel_x_bias", "pitch_attitude_bias"} <= set(still_open)
+    assert "pitch_attitude_bias" in still_open["accel_x_bias"].imitators
+    # Where nothing is hidden nothing is asked for.
+    errors, checked = searched(level_flight(60.0, 2), bare)
+    assert checked.agreement is Agreement.AGREE
+    assert not [e for e in errors.errors.values() if not e["minor"]]
+    assert not [e.name for e in checked.open if e.asked]
 
 
-@pytest.mark.parametrize("seed", [2, 3])
-def test_nothing_is_asked_for_where_nothing_is_hidden(bare, seed):
-    known, found = found_in(level_flight(60.0, seed), bare)
-    assert found.agreement is Agreement.AGREE
-    assert not [e for e in known.errors.values() if not e["minor"]]
-    assert not [e.name for e in found.open if e.asked]
-
-
-AIRSPEED = ("pitot_pressure_bias", "airspeed_scale", "airspeed_bias")
-
-
-def misread(card, *, own_mach: bool = False, **errors: float) -> FlightRecord:
-    """A simulated stall whose airspeed has errors: of the impact pressure (Pa), then in proportion, then a constant.
-
-    They are in the Mach number, too, unless it has a source of its own.
-    """
-    pressure, scale, bias = (errors.get(name, 0.0) for name in AIRSPEED)
-    flown = simulate_stall(0, card=card)
-    channels = {name: np.array(x) for name, x in flown.channels.items()}
-    V = channels["airspeed"]
-    channels["airspeed"] = np.sqrt(V**2 + 2.0 * pressure / channels["density"]) * (1.0 + scale) + bias
-    channels["mach"] *= 1.0 if own_mach else channels["airspeed"] / V
-    return FlightRecord.from_arrays("stall", np.asarray(flown.time), channels, "simulated")
+def misread(card, **errors: float) -> FlightRecord:
+    """A simulated stall whose airspeed has errors: of the impact pressure (Pa), then in proportion, then a constant."""
+    pressure, scale, bias = (
+        errors.get(name, 0.0) for name in ("pitot_pressure_bias", "airspeed_scale", "airspeed_bias")
+    )
+    stall = simulate_stall(0, card=card)
+    V = np.array(stall["airspeed"])
+    shown = np.sqrt(V**2 + 2.0 * pressure / stall["density"]) * (1.0 + scale) + bias
+    return changed(stall, airspeed=shown, mach=stall["mach"] * shown / V)
 
 
 LARGE = {"airspeed_bias": 6.0, "airspeed_scale": 0.05}
@@ -406,7 +361,7 @@ LARGE = {"airspeed_bias": 6.0, "airspeed_scale": 0.05}
 ])  # fmt: skip
 def test_errors_of_the_airspeed_are_told_apart_by_how_they_go_with_speed(card, hidden):
     """rho V dV = dp; two errors of it are one joint estimate."""
-    known, found = found_in(misread(card, **hidden), card)
+    known, found = searched(misread(card, **hidden), card)
     assert set(known.errors) == set(hidden)
     for name, true in hidden.items():
         size = known.errors[name]["parameters"][name]
@@ -421,47 +376,17 @@ def test_errors_of_the_airspeed_are_told_apart_by_how_they_go_with_speed(card, h
         assert not {e.name for e in found.open} & set(known.errors)
 
 
-@pytest.mark.parametrize("gained", [-2.0, -40.0])
-def test_the_flight_path_is_selected_again_without_an_error_larger_than_sensors_have(monkeypatch, gained):
-    """Another that explains it within 3 nats takes its place; where none does, it stays and corrects nothing."""
-    names, asked = ("airspeed_scale", "airspeed_bias", "alpha_scale"), []
-    full = CandidateModel(Model.of(names, axes=tuple(Axis)), (), tuple(CATALOGUE[n] for n in names), {})
-
-    def linearised(own, *_):
-        asked.append(tuple(e.name for e in own.candidates))
-        return part(SelectionState, full=own, active=names[:2] if len(asked) == 1 else names[2:])
-
-    def selected(state, **_):
-        base = part(SelectionState, active=())
-        sizes = {"airspeed_scale": Size(-0.06, 0.01, "1"), "airspeed_bias": Size(10.7, 0.5, "m/s"),
-                 "alpha_scale": Size(0.1, 0.01, "1")}  # fmt: skip
-        return Extension(base, state, (), sizes, state.active, ())
-
-    for name, given in {
-        "linearised": linearised, "selected": selected, "widened": lambda found, *_: found,
-        "consistent_across_blocks": lambda found: found,
-        "with_several_instead": lambda found: found, "nats_gained": lambda *_: gained,
-        "without_hold": lambda one: {n: {} for n in one.state.active},
-    }.items():  # fmt: skip
-        monkeypatch.setattr(f"bayes_aero.diagnosis.consistency.{name}", given)
-    monkeypatch.setattr(FlightPathError, "outputs", ("airspeed",))
-    found = check_sensors(full, part(FlightPathError), np.zeros(3), seed=0)
-    assert asked == [names, names[2:]]
-    assert found.state.active == (names[2:] if gained > -3.0 else names[:2])
-    assert [one.implausible for one in found.larger] == ([("airspeed_bias",)] if gained > -3.0 else [])
-
-
 def test_half_of_a_joint_estimate_is_no_correction(card):
     """A bias of 13 m/s is larger than sensors have, and the scale was estimated beside it."""
-    known, found = found_in(misread(card, airspeed_bias=13.0, airspeed_scale=0.05), card)
-    assert not known.errors
-    assert found.agreement is Agreement.UNEXPLAINED
-    assert not found.corrected
-    joint = {e.name: e.joint for e in found.open if e.joint}
+    errors, checked = searched(misread(card, airspeed_bias=13.0, airspeed_scale=0.05), card)
+    assert not errors.errors
+    assert checked.agreement is Agreement.UNEXPLAINED
+    assert not checked.corrected
+    joint = {e.name: e.joint for e in checked.open if e.joint}
     assert set(joint) == {"airspeed_bias", "airspeed_scale"}
     assert -1.0 < joint["airspeed_scale"]["airspeed_bias"] < -0.9
-    assert any("estimated together" in one and "airspeed_scale" in one for one in open_sentences(found))
-    assert ConsistencyPart.of(found).open["airspeed_scale"].joint == joint["airspeed_scale"]
+    assert any("estimated together" in said and "airspeed_scale" in said for said in open_sentences(checked))
+    assert ConsistencyPart.of(checked).open["airspeed_scale"].joint == joint["airspeed_scale"]
 
 
 def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_are_found(card):
@@ -476,50 +401,28 @@ def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_a
     assert left(258.0) == pytest.approx(left(0.0), rel=0.2)
     # A vane 9 deg off is no error that vanes have and is not corrected; the airspeed is judged beside it.
     record = misread(card, airspeed_bias=-3.0)
-    record = replace(record, channels={**record.channels, "alpha": record.channels["alpha"] + np.radians(9.0)})
-    known, _ = found_in(record, card)
-    assert list(known.errors) == ["airspeed_bias"]
-    size = known.errors["airspeed_bias"]["parameters"]["airspeed_bias"]
+    record = changed(record, alpha=record.channels["alpha"] + np.radians(9.0))
+    errors = sensors.errors_of_path(sensors.screen_sensor_errors([record], card)).errors
+    assert list(errors) == ["airspeed_bias"]
+    size = errors["airspeed_bias"]["parameters"]["airspeed_bias"]
     assert size["mean"] == pytest.approx(-3.0, abs=4.0 * size["sd"])
 
 
-@pytest.mark.verify
-def test_a_right_mach_number_beside_a_wrong_airspeed_leaves_the_lift_as_it_is(card):
-    """CLa is 3.6, CD0 .045; moved with the airspeed, the Mach number would make CLa 3.78."""
-    found = diagnose(
-        [misread(card, pitot_pressure_bias=300.0, own_mach=True)], card, settings=DiagnosisSettings(gains=False)
-    )
-    assert {c.name for c in found.causes} == {"pitot_pressure_bias"}
-    assert not found.minor
-    assert not found.unknown
-    for name, true in (("CLa", 3.6), ("CD0", 0.045)):
-        _, after, sd = found.base_moves[name]
-        assert after == pytest.approx(true, abs=3.0 * sd)
-
-
-# Flow-angle sensors on a boom, hidden in simulated stalls: told from a lag, sized, and moved back by a card
-BOOM, LAG = 13.08, 0.15  # m, s: at 80 m/s x/V is .16 s, so that each is what the other would pretend to be
-
-
-@pytest.mark.recovery
-@pytest.mark.parametrize(("name", "true"), [
-    ("vane_position", BOOM), pytest.param("alpha_delay", LAG, marks=pytest.mark.verify),
-])  # fmt: skip
-def test_a_boom_is_called_a_boom_and_a_lag_a_lag(card, name, true):
-    """By kinematics alone: no aerodynamics enters, and each is the other's nearest rival."""
-    records = hidden_records({name: {name: true}}, seed=620, noise="ar1", seconds=90.0)
-    found = screen_sensor_errors(records, card)
-    assert found.causes == (name,)
-    size = found.sizes[name]
-    assert abs(size.mean - true) < 3.0 * size.sd
-    assert 1.96 * size.sd < 0.15 * true
-    judged = Blocks(found.state)  # by stretches of the flights
-    assert size.sd >= 0.999 * np.sqrt(judged.judge(name)[1][0, 0])
-    assert judged.p_value(name) < 1e-3
-
-
+# Sensors elsewhere, late or of another scale: told from each other, and sized
 AT = 3.0  # m from where the card says
-BESIDE = {  # what a lateral sensor adds that is elsewhere or late, of a flight's channels and its angular accelerations
+
+
+def on_a_boom(f, x=13.08):
+    """Flow angles at this place: at 120 m/s x/V is .1 s, so that a lag is what a boom would pretend to be."""
+    V, alpha, beta = f["airspeed"], f["alpha"], f["beta"]
+    u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
+    across, down = v + x * f["r"], w - x * f["q"]
+    return {"alpha": np.arctan2(down, u), "beta": np.arctan2(across, np.hypot(u, down))}
+
+
+BESIDE = {  # what such a sensor shows, of a flight's channels and its angular accelerations
+    "vane_position": (13.08, lambda f, _: on_a_boom(f)),
+    "alpha_delay": (0.15, lambda f, _: {"alpha": np.interp(f["time"] - 0.15, f["time"], f["alpha"])}),
     "sideslip_vane_position": (6.0, lambda f, _: {"beta": f["beta"] + 6.0 * f["r"] / f["airspeed"]}),
     "sideslip_vane_height": (2.0, lambda f, _: {"beta": f["beta"] + 2.0 * f["p"] / f["airspeed"]}),
     "sideslip_delay": (0.1, lambda f, _: {"beta": np.interp(f["time"] - 0.1, f["time"], f["beta"])}),
@@ -533,13 +436,13 @@ BESIDE = {  # what a lateral sensor adds that is elsewhere or late, of a flight'
 }  # fmt: skip
 
 
-ALWAYS = (None, "sideslip_vane_height", "accelerometer_position")  # the others in `make verify`
+ALWAYS = (None, "vane_position")  # the others in `make verify`
 
 
 @pytest.mark.parametrize("name", [
     pytest.param(name, marks=() if name in ALWAYS else pytest.mark.verify) for name in (None, *BESIDE)
 ])  # fmt: skip
-def test_lateral_sensors_elsewhere_or_late_are_told_apart(tmp_path, name):
+def test_sensors_elsewhere_or_late_are_told_apart(tmp_path, name):
     """By kinematics, in flights of a simulator that shares no code: velocities and accelerations of a rigid body."""
     rng = np.random.default_rng(41)
     plane = drawn(rng, **six_axes.ATTACHED)
@@ -549,9 +452,12 @@ def test_lateral_sensors_elsewhere_or_late_are_told_apart(tmp_path, name):
         dot = {n: np.gradient(flight[n], flight["time"]) for n in "pqr"}
         flight |= BESIDE[name][1](flight, dot) if name else {}
         records.append(six_axes.record(kind, flight, rng))
-    found = screen_sensor_errors(records, six_axes.card_in(tmp_path, plane))
+    found = sensors.screen_sensor_errors(records, six_axes.card_in(tmp_path, plane))
     assert found.causes == (() if name is None else (name,))
     if name is not None:
         size = found.sizes[name]
         assert abs(size.mean - BESIDE[name][0]) < 3.0 * size.sd
         assert size.sd < 0.1 * BESIDE[name][0]
+        judged = sensors.Blocks(found.state)  # by stretches of the flights
+        assert size.sd >= 0.999 * np.sqrt(judged.judge(name)[1][0, 0])
+        assert judged.p_value(name) < 1e-3

@@ -11,19 +11,21 @@ import pytest
 import six_axes as six
 import stranger_six
 from calling import called
-from gusty_flight import LENGTH, NOISE, TRUTH, gusty_flight
-from parts import without_accelerometers
+from gusty_flight import DT, GUST, LENGTH, SECONDS, TRUTH, gusty_flight
+from parts import few_candidates, without_accelerometers
 
+from bayes_aero.diagnosis import search as searches
 from bayes_aero.diagnosis.components import QUANTITIES, SEPARATED, library
-from bayes_aero.diagnosis.result import FoundTerm, ProductTerm
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.result import INNOVATIONS, FoundTerm, ProductTerm
 from bayes_aero.diagnosis.selection import plausible_selection
-from bayes_aero.diagnosis.selection_state import CandidateModel, linearised
+from bayes_aero.diagnosis.selection_state import CandidateModel, DiagnosisSettings, SelectionState, linearised
 from bayes_aero.diagnosis.unexplained import flown_forms
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.kalman import filter_segments
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card import read_card
-from bayes_aero.inference.prediction_error import disturbed
+from bayes_aero.inference.prediction_error import PredictionErrorResult, disturbed, fit_disturbed
 from bayes_aero.jobs.documents import document_schema
 from bayes_aero.jobs.preparing import effect_file, write_effects
 from bayes_aero.jobs.results import term_part
@@ -170,9 +172,9 @@ def test_a_file_that_is_there_or_is_no_python_is_refused_before_anything_is_done
     assert not (tmp_path / "results").exists()
 
 
-# Terms that nobody listed, by what they make of a simulated flight: their sensitivities, and a search for one
-STILL = {"w": 0.0, "u": 0.0}
+# By what they make of simulated flights: their sensitivities, and a search for one
 TWO = (11, 12)  # seeds of two flights
+STEP = 1e-5
 
 
 @pytest.fixture(scope="module")
@@ -180,68 +182,124 @@ def hfb320():
     return read_card("hfb320")
 
 
-def flown(card, model, records) -> tuple[OutputError, np.ndarray]:
-    flights = join([without_accelerometers(r) for r in records], card, FLIGHT)
+def in_calm_air(card, truth) -> SelectionState:
+    """Where a search without a catalogue begins, in two simulated flights, at the values without `truth`."""
+    flown = [gusty_flight(seed, gust={"w": 0.0, "u": 0.0}, truth=truth) for seed in TWO]
+    records = [without_accelerometers(replace(r, name=f"run{k}")) for k, r in enumerate(flown)]
+    model, flights = Model.from_card(card), join(records, card, FLIGHT)
     responses = OutputError.of(flights, aircraft_dynamics(model, flights))
-    return responses, np.array([TRUTH.get(p.name, p.start) for p in model.free])
-
-
-def in_calm_air(card, truth=None) -> tuple[OutputError, np.ndarray]:
-    records = [gusty_flight(seed, gust=STILL, truth=truth) for seed in TWO]
-    return flown(card, Model.from_card(card), [replace(r, name=f"run{k}") for k, r in enumerate(records)])
-
-
-# Terms that nobody listed, by what they make of the innovations of a filter in gusts: sensitivities, and a search.
-# The filter stands at the truth of the simulator (`gusty_flight`, which shares no code): its fit is tested elsewhere
-GUST = {"w": 1.0, "u": 1.0}
-MOVED = 1e-3  # share of the sensors' deviations in a second: process noise of the states beside the gusts
-
-
-def filtered(card, records, known, noise):
-    """Records by a filter at `known` parameters and deviations of the sensors' `noise`, as `FilterError.after` asks."""
-    flights = join(records, card, FLIGHT)
-    flown = disturbed(segments(flights, aircraft_dynamics(Model.from_card(card), flights)))
-    theta = np.array([known.get(p.name, p.start) for p in flown.dynamics.free])
-    R = np.array([noise[name] for name in flown.outputs]) ** 2
-    sd = np.array([noise[name] if name in FLIGHT else 0.0 for name in flown.dynamics.states])
-    found = eqx.filter_jit(filter_segments)(flown, jnp.asarray(theta), sd, MOVED * sd, R)
-    return flown, theta, R, found
-
-
-def followed(card, records, known, noise) -> tuple[FilterError, np.ndarray]:
-    """The innovations of these, and the parameters."""
-    flown, theta, *rest = filtered(card, records, known, noise)
-    return FilterError.after(flown, theta, *rest, flown.dynamics), theta
-
-
-def in_gusts(card, truth=None, seconds=60.0, seeds=TWO) -> tuple[FilterError, np.ndarray]:
-    """The innovations of flights, at the values of the simulator without `truth`."""
-    records = [gusty_flight(seed, gust=GUST, truth=truth, seconds=seconds) for seed in seeds]
-    records = [replace(r, name=f"run{k}") for k, r in enumerate(records)]
-    known = TRUTH | {"vertical_gust": GUST["w"], "longitudinal_gust": GUST["u"]}
-    known |= {f"{name}_gust_length": LENGTH for name in ("vertical", "longitudinal")}
-    return followed(card, records, known, NOISE)
+    full = CandidateModel(model, tuple(e.name for e in model.effects), (), {})
+    theta = np.array([TRUTH.get(p.name, p.start) for p in model.free])
+    return linearised(full, responses, responses.outputs, theta)
 
 
 @pytest.fixture(scope="module")
-def short(hfb320):
-    return in_gusts(hfb320, seconds=15.0, seeds=TWO[:1])
+def calm(hfb320):
+    return in_calm_air(hfb320, {})
+
+
+def test_a_hidden_term_is_found_in_trajectories_and_their_silent_twins_have_none(hfb320, calm):
+    searched, silent = (
+        flown_forms(plausible_selection(state, seed=1), seed=2) for state in (in_calm_air(hfb320, {"Cma2": 0.15}), calm)
+    )
+    (term,) = searched.terms
+    assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")
+    assert abs(term.size[0] - 0.15) < 1.96 * term.size[1]
+    assert [(u.coefficient, u.channel) for u in searched.unknown] == [("Cm", "alpha^2")]
+    assert silent.terms == ()
+
+
+def test_offsets_are_central_differences_along_initial_states(calm):
+    """Windows, each with an initial state of its own, of which the others know nothing."""
+    responses, theta = calm.responses, calm.theta
+    offsets, states = responses.offsets(theta, responses.outputs), responses.windows.dynamics.start
+    window = np.asarray(responses.stretch)
+    residual = eqx.filter_jit(lambda shared: responses.residual(jnp.asarray(theta), shared))
+    for k in range(len(states)):
+        step = STEP * (np.arange(len(states)) == k)
+        ahead, behind = (np.asarray(residual(jnp.asarray(sign * step))) for sign in (1, -1))
+        slope = (behind - ahead) / (2.0 * STEP)
+        for w in (0, window.max()):
+            own = offsets[:, :, w * len(states) + k]
+            np.testing.assert_allclose(own[window == w], slope[window == w], atol=1e-7 * np.abs(slope).max())
+            assert not own[window != w].any()
+
+
+# By what they make of the innovations of a filter in gusts, by a simulator that shares no code: the filter finds the
+# gusts, and the search a curved moment, as an effect or, where it is in no catalogue, as a term
+Cma2, GUSTS_SEED = -3.0, 5  # 1/rad2
+FEW = (
+    "alpha_squared_moment", "airspeed_scale", "alpha_scale", "pitch_attitude_bias", "thrust_scale", "flap_lift",
+    "thrust_moment", "pitch_rate_lift",
+)  # fmt: skip
+
+
+def searched_in_gusts(card, truth) -> tuple[searches.SearchResult, PredictionErrorResult]:
+    """A search in a minute in gusts, flaps where they are, and the fit with which it began."""
+    flight, fits = gusty_flight(GUSTS_SEED, truth=truth), []
+    flight = replace(flight, channels={**flight.channels, "flap": np.full(len(flight.time), 0.1)})
+    with pytest.MonkeyPatch.context() as patch:
+        few_candidates(patch, FEW)
+        patch.setattr(searches, "fit_disturbed", lambda *a, **k: fits.append(fit_disturbed(*a, **k)) or fits[-1])
+        settings = DiagnosisSettings(max_effects=1)
+        return searches.Search([flight], card, Model.from_card(card), (), settings, 0).innovations(), fits[0][1]
+
+
+@pytest.fixture(scope="module")
+def gusty(hfb320):
+    return searched_in_gusts(hfb320, {"Cma2": Cma2})
+
+
+def test_what_is_hidden_is_found_in_gusts_as_an_effect_or_as_a_term_beside_what_is_on_the_card(gusty):
+    searched, _ = gusty
+    # Derivatives of flaps at rest would share the coefficients' constants.
+    assert "flap_lift" in searched.full.not_testable
+    assert list(searched.stages) == [INNOVATIONS]
+    assert searched.model.causes == ("alpha_squared_moment",)
+    size = searched.model.sizes["Cma2"]
+    assert abs(size.mean - Cma2) < 3.0 * size.sd
+    assert size.sd < 0.2 * abs(Cma2)
+    for name in ("CLa", "CDa", "Cmq", "Cmde"):
+        size = searched.model.sizes[name]
+        assert abs(size.mean - TRUTH[name]) < 4.0 * size.sd, name
+    assert searched.terms == ()
+    begun = replace(searched.model, state=searched.model.base, causes=(), minor=(), steps=(), sizes={})
+    (term,) = flown_forms(begun, seed=2).terms
+    assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")
+    assert abs(term.size[0] - Cma2) < 3.0 * term.size[1]
+
+
+def test_gusts_have_their_size_and_nothing_is_found_where_nothing_is_hidden(hfb320):
+    silent, fit = searched_in_gusts(hfb320, {})
+    assert silent.model.causes == silent.terms == silent.unknown == ()
+    # Correlation of neighbouring samples within 4 / sqrt(n), n of them.
+    noise = silent.noise
+    assert noise.of_innovations
+    assert max(abs(r) for r in noise.lag1.values()) < 4.0 / np.sqrt(SECONDS / DT)
+    assert noise.coloured == ()
+    gusts = dict(zip(fit.names, zip(fit.estimate, fit.sd, strict=True), strict=True))
+    for name, truth in (("vertical_gust", GUST["w"]), ("longitudinal_gust", GUST["u"])):
+        estimate, sd = gusts[name]
+        assert abs(estimate - truth) < 3.0 * sd
+        assert sd < 0.4 * truth
+        length, length_sd = gusts[f"{name}_length"]
+        assert abs(length - LENGTH) < 3.0 * length_sd
 
 
 @pytest.mark.parametrize(("way", "factors", "tolerances"), [
     (AddedCoefficients, ("alpha", "alpha", "qhat"), (1e-9, 1e-4)),
-    (AddedToFilter, ("alpha", "elevator"), (1e-8, 5e-4)),  # the card's tail arm is 1e9 m
+    (AddedToFilter, ("elevator", "CT"), (1e-8, 5e-4)),  # the card's tail arm is 1e9 m
 ])  # fmt: skip
 def test_terms_fly_as_the_parameter_of_the_card_and_as_the_effect_of_a_file(
-    way, factors, tolerances, hfb320, short, tmp_path
+    way, factors, tolerances, calm, gusty, tmp_path
 ):
     """Cm += Cmde elevator: the recorded elevator is linear between samples, as the integration takes it."""
-    still = way is AddedCoefficients
-    responses, theta = flown(hfb320, Model.from_card(hfb320), [gusty_flight(5, seconds=20.0)]) if still else short
+    state = calm if way is AddedCoefficients else gusty[0].model.base
+    responses, theta = state.responses, state.theta
     added = way(responses, theta)
     (slope,) = added.slopes("Cm", lambda signals: signals["elevator"][None])
-    known = responses.linearise(theta, np.array([responses.model.names.index("Cmde")]))[1][:, :, 0]
-    np.testing.assert_allclose(slope, known, atol=tolerances[0] * np.abs(known).max())
+    expected = responses.linearise(theta, np.array([responses.model.names.index("Cmde")]))[1][:, :, 0]
+    np.testing.assert_allclose(slope, expected, atol=tolerances[0] * np.abs(expected).max())
     # Central differences of residuals with the effect, gains held; between samples the product is taken as linear.
     term = product(*factors)
     path, step = tmp_path / "found.py", 1e-3
@@ -253,8 +311,54 @@ def test_terms_fly_as_the_parameter_of_the_card_and_as_the_effect_of_a_file(
     (slope,) = added.slopes("Cm", lambda signals: term.evaluate(signals, responses.flights.aircraft)[None])
     at = model.names.index(effect.parameters[0].name)
     less, more = (np.asarray(wider.evaluate(np.insert(theta, at, size))[0]) for size in (-step, step))
-    known = (less - more) / (2.0 * step)
-    np.testing.assert_allclose(slope, known, atol=tolerances[1] * np.abs(known).max())
+    expected = (less - more) / (2.0 * step)
+    np.testing.assert_allclose(slope, expected, atol=tolerances[1] * np.abs(expected).max())
+
+
+def test_blocks_lie_within_a_manoeuvre_and_the_least_share_is_that_of_one_sample(gusty):
+    state = gusty[0].model.base
+    parts, manoeuvre = state.responses.parts, state.responses.manoeuvre
+    assert set(np.bincount(parts) * state.responses.seconds) == {5.0}
+    assert len(set(zip(parts.tolist(), manoeuvre.tolist(), strict=True))) == parts.max() + 1 == SECONDS / 5.0
+    # A constant in white noise: the share of the variance that it takes, by numpy.
+    x = 0.02 + np.random.default_rng(3).standard_normal((20_000, 5))
+    single, mean = (0.02**2 / np.mean(np.square(part)) for part in (x, x.mean(axis=1)))
+    assert state.least_share(mean) == pytest.approx(single, rel=0.03)
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("hidden", [None, "rudder_yaw", "sideslip_scale"])
+def test_an_effect_of_six_axes_is_named_in_gusts_and_none_where_none_is_hidden(hidden, tmp_path):
+    """Three manoeuvres in gusts of 0.7 m/s: a derivative that the card lacks, or a vane that shows a fifth too little.
+
+    The standard error of the vane's scale is some 0.02: the gusts move the vane, and the derivatives take up the rest.
+    """
+    plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
+    effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL) if n != hidden]
+    seen, records = 0.8 if hidden == "sideslip_scale" else 1.0, []
+    for kind in ("elevator", "aileron", "rudder"):
+        flight = stranger_six.fly(plane, kind, rng, gust=0.7)
+        records.append(six.record(kind, {**flight, "beta": seen * flight["beta"]}, rng))
+    card = six.card_in(tmp_path, plane, effects)
+    found = diagnose(records, card, settings=DiagnosisSettings(max_effects=2, process_noise=True, gains=False))
+    truth = {"rudder_yaw": ("Cndr", plane.Cndr), "sideslip_scale": ("sideslip_scale", seen - 1.0)}
+    assert [c.name for c in found.causes] == [hidden] * (hidden is not None)
+    assert not found.unknown
+    for found_cause in found.causes:
+        name, true = truth[found_cause.name]
+        size = found_cause.parameters[name]
+        assert abs(size.mean - true) < 3.0 * size.sd
+
+
+# In six degrees of freedom
+def filtered(card, records, values, noise):
+    """Records by a filter at these values and deviations of the sensors' `noise`, as `FilterError.after` asks."""
+    flights = join(records, card, FLIGHT)
+    flown = disturbed(segments(flights, aircraft_dynamics(Model.from_card(card), flights)))
+    theta = np.array([values.get(p.name, p.start) for p in flown.dynamics.free])
+    R = np.array([noise[name] for name in flown.outputs]) ** 2
+    sd = np.array([noise[name] if name in FLIGHT else 0.0 for name in flown.dynamics.states])
+    return flown, theta, R, eqx.filter_jit(filter_segments)(flown, jnp.asarray(theta), sd, 1e-3 * sd, R)
 
 
 @pytest.mark.verify
@@ -265,11 +369,12 @@ def test_a_term_of_six_degrees_of_freedom_flies_and_is_foreseen_as_its_parameter
     card = six.card_in(tmp_path, plane)
     records = [six.record("rudder", stranger_six.fly(plane, "rudder", rng, seconds=5.0), rng)]
     model = Model.from_card(card)
-    known = {p.name: getattr(plane, p.name) for p in model.free}
+    values = {p.name: getattr(plane, p.name) for p in model.free}
     if gusts:
-        responses, theta = followed(card, records, known, defaultdict(lambda: 0.01))
+        flown, theta, *rest = filtered(card, records, values, defaultdict(lambda: 0.01))
+        responses = FilterError.after(flown, theta, *rest, flown.dynamics)
     else:
-        flights, theta = join(records, card, ()), np.array(list(known.values()))
+        flights, theta = join(records, card, ()), np.array(list(values.values()))
         responses = OutputError.of(flights, aircraft_dynamics(model, flights))
     added = (AddedToFilter if gusts else AddedCoefficients)(responses, theta)
     (slope,) = added.slopes("Cn", lambda signals: signals["rudder"][None])
@@ -289,12 +394,13 @@ def test_innovations_of_six_degrees_of_freedom_change_as_their_sensitivities_say
     The states of the filter are angles of attitude. Effects at neutral leave its innovations.
     """
     plane, rng = stranger_six.Plane(tau1=20.0), np.random.default_rng(3)
-    effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL, *six.STALL) if n not in MORE]
+    lateral = ("sideslip_side_force", "sideslip_roll", "roll_damping", "sideslip_yaw", "yaw_damping")
+    effects = [n for n in (*six.LONGITUDINAL, *lateral, *six.STALL) if n not in MORE]
     card = six.card_in(tmp_path, plane, effects)
     flight = stranger_six.fly(plane, "stall_in_bank", rng, gust=0.7)
     records = [six.record("stall", {name: x[-100:] for name, x in flight.items()}, rng)]
-    known = {p.name: getattr(plane, p.name) for p in Model.from_card(card).free}
-    flown, theta, *rest = filtered(card, records, known, defaultdict(lambda: 0.01, altitude=1.0, airspeed=0.1))
+    values = {p.name: getattr(plane, p.name) for p in Model.from_card(card).free}
+    flown, theta, *rest = filtered(card, records, values, defaultdict(lambda: 0.01, altitude=1.0, airspeed=0.1))
     dynamics = flown.dynamics
     own = FilterError.after(flown, theta, *rest, dynamics)
     assert dynamics.states[6:9] == ("phi", "theta", "psi")
@@ -314,34 +420,3 @@ def test_innovations_of_six_degrees_of_freedom_change_as_their_sensitivities_say
         step = 1e-4 / size * np.eye(len(wide))[place]  # the altitude, of thousands of metres, is rounded
         difference = (residual(wide - step) - residual(wide + step)) / 2e-4 * size
         np.testing.assert_allclose(slope, difference, atol=1e-5 * size, err_msg=model.names[place])
-
-
-def test_blocks_lie_within_a_manoeuvre_and_the_least_share_is_that_of_one_sample(short):
-    responses, _ = short
-    parts, manoeuvre = responses.parts, responses.manoeuvre
-    assert set(np.bincount(parts) * responses.seconds) == {5.0}
-    assert len(set(zip(parts.tolist(), manoeuvre.tolist(), strict=True))) == parts.max() + 1 == 3
-    # A constant in white noise: the share of the variance that it takes, by numpy.
-    state = begun(*short)
-    x = 0.02 + np.random.default_rng(3).standard_normal((20_000, 5))
-    single, mean = (0.02**2 / np.mean(np.square(part)) for part in (x, x.mean(axis=1)))
-    assert state.least_share(mean) == pytest.approx(single, rel=0.03)
-
-
-def begun(responses, theta):
-    """Where a search without a catalogue begins."""
-    full = CandidateModel(responses.model, tuple(e.name for e in responses.model.effects), (), {})
-    return linearised(full, responses, responses.outputs, theta)
-
-
-@pytest.mark.parametrize(("fly", "size"), [(in_calm_air, 0.15), (in_gusts, -0.7)], ids=["trajectories", "innovations"])
-def test_a_hidden_term_is_found_and_its_silent_twin_has_none(hfb320, fly, size):
-    """By the library, in two flights."""
-    found, silent = (
-        flown_forms(plausible_selection(begun(*fly(hfb320, truth)), seed=1), seed=2) for truth in ({"Cma2": size}, {})
-    )
-    (term,) = found.terms
-    assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")
-    assert abs(term.size[0] - size) < 1.96 * term.size[1]
-    assert [(u.coefficient, u.channel) for u in found.unknown] == [("Cm", "alpha^2")]
-    assert silent.terms == ()
