@@ -10,17 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41996,
+    "bayes_aero: lines": 42000,
     "bayes_aero: files": 129,
     "bayes_aero: private helpers used once": 234,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 24813,
-    "tests: files": 91,
-    "benchmarks: lines": 4799,
-    "benchmarks: files": 28,
+    "tests: lines": 21459,
+    "tests: files": 85,
+    "benchmarks: lines": 4424,
+    "benchmarks: files": 25,
     "benchmarks/README.md: lines": 248,
-    "CHANGELOG.md: lines": 147,
-    "docs: words": 24699,
+    "CHANGELOG.md: lines": 149,
+    "docs: words": 24703,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 
