@@ -472,12 +472,11 @@ def _whole(record: FlightRecord, card: Card, view: View, before: Misfits) -> tup
             whole.append((score[k], worst[k], {n: move for n, move in pairs.items() if move != (n, 1)}))
     least = min(score for score, _, _ in whole)
     # A fault costs a quarter of such a logarithm; axes are as many as two, beside single channels.
-    alike = [
-        (score + 0.25 * min(len(m), 2 + axes_of(m, sensors)[1]), worst, m)
-        for score, worst, m in whole
-        if score < least + ALIKE
-    ]
-    total = min(score for score, *_ in alike)
+    alike, total = list[tuple[float, float, Moves]](), np.inf
+    for score, worst, m in whole:
+        if score < least + ALIKE and score + 0.25 * min(len(m), 2) < total + 0.2:  # else no axes make it the best
+            alike.append((score + 0.25 * min(len(m), 2 + axes_of(m, sensors)[1]), worst, m))
+            total = min(total, alike[-1][0])
     tied = sorted((it for it in alike if it[0] < total + 0.2), key=lambda it: len(it[2]))
     _, worst, moves = tied[0]
     reading, *others = (moved(card, sensors, m) for _, _, m in tied)
