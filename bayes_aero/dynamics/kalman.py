@@ -219,7 +219,7 @@ def filter_segments(
     return each(filter_inputs(flown, prepared, start_deviation, R))
 
 
-@compiled_quickly
+@eqx.filter_jit
 def prediction_errors(flown: SegmentTrajectories, theta: Theta, filtered: Filtered) -> Float[Array, "w n c"]:
     """Measured minus predicted from the samples before, in recorded units; `filtered` is that of `filter_segments`."""
     prepared = prepare(flown, theta)

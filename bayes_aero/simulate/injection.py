@@ -135,8 +135,9 @@ def _flights(
         if left := ENVELOPE.left_by(excursion(flown)):
             hidden = ", ".join(effects) or "nothing"
             raise InputError(f"with {hidden} hidden the flight leaves its envelope: {left}; make effects smaller")
-        # a flight that breaks down after what is kept holds its last value: filters would spread NaN
-        true = {key: np.where(np.isfinite(everything[key]), everything[key], flown[key][-1]) for key in FLOWN}
+        # From where a flight breaks down after what is kept it holds its last value: filters would spread the rest.
+        sound = np.cumsum(~np.all([np.abs(everything[k]) < 1e6 for k in FLOWN if k != "thrust"], axis=0)) == 0
+        true = {key: np.where(sound, everything[key], flown[key][-1]) for key in FLOWN}
         true["thrust"] = pilots[number].thrust  # as it is commanded
         rec = misrecorded(misrecording, values, true, marks, card.aircraft)
         rec = {key: x[kept] for key, x in rec.items()}
