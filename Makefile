@@ -12,13 +12,13 @@ QUICK_TO_COMPILE := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend
 PYTEST := $(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder --durations=25
 STAMP := $(VENV)/.installed
 
-.PHONY: install demo picture test check verify fast docs notebooks clean
+.PHONY: install demo picture test exact check verify fast docs notebooks clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.13")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[test,docs]'
-	$(BIN)/python -m compileall -q -j 0 $(VENV)/lib bayes_aero >/dev/null 2>&1 || true  # side by side; else the first command does it, in 10 s
+	$(BIN)/python -m compileall -q -j 0 -x '/(tests?|testing)/' $(VENV)/lib bayes_aero >/dev/null 2>&1 || true  # side by side; else the first command does it, in 10 s
 	touch $(STAMP)
 
 install: $(STAMP)  ## the environment alone, into .venv
@@ -43,8 +43,11 @@ check: $(STAMP)  ## lint, types, layers
 fast: $(STAMP)  ## the tests without whole diagnoses of simulated flights and those on a cluster
 	$(PYTEST) -m "not verify and not recovery and not cluster"
 
-test: check  ## every exact test
+exact: $(STAMP)  ## every exact test
 	$(PYTEST) -m "not verify"
+
+test: $(STAMP)  ## lint, types, layers and every exact test, side by side
+	$(MAKE) -j 2 check exact
 
 verify: $(STAMP)  ## tests of rates, coverage and whole diagnoses; then fresh seeds against exact binomial bounds and a line of benchmarks/ledger.csv (VERIFY=--full: hours)
 	$(PYTEST) -m verify
