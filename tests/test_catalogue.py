@@ -185,6 +185,7 @@ def test_it_says_what_it_is_and_where_it_comes_from(effect):
         assert 0.0 < least < largest < np.inf
         scanned = effect.scan.get(p.name, (p.start,))
         assert scanned
+        assert set(effect.scan) <= {one.name for one in effect.parameters}
         assert p.name not in effect.scan or all(p.bounds[0] < value < p.bounds[1] for value in scanned)
 
 

@@ -274,6 +274,8 @@ def test_the_page_can_be_signed(qualified):
     assert "was not made" not in page
     holds(page, "signature", "accepted", "refused", "Attachment 7", "was not read", "Stated: 1 m/s")
     holds(page, "altitude is in ft")
+    grave = [(h["channel"], h["fault"]) for h in qualified.numbers["health"] if h["grave"]]
+    assert grave == [("altitude", "unit")]
     assert ("The model does not qualify" in page) == (qualified.numbers["verdict"] == "fails")
     rows = (qualified.folder / "qualification.csv").read_text().splitlines()
     assert len(rows) == 1 + len(qualified.numbers["tests"])
@@ -437,3 +439,9 @@ def test_the_page_flies_it_as_the_matrix_exponential_does(short_period):
     assert {g.name: g.switch for g in groups} == switches
     assert [s.name for g in groups for s in g.sliders] == list(SHORT_PERIOD_TRUTH)
     assert opened.addable(("alpha", "q", "elevator")) == ()
+
+
+def test_identify_prints_the_json_that_it_writes_and_ends_with_zero_on_a_sound_record(program, identified, tmp_path):
+    asked = ("--no-sample", "--no-gp", "--no-figures", "--out", "id", "--json")
+    printed = answer(program("identify", identified.folder / "stall.csv", *asked), 0)
+    assert printed == json.loads((tmp_path / "id" / "results.json").read_text())

@@ -423,3 +423,14 @@ def test_markup_in_headings_reaches_no_terminal(program, trap):
     done = program("check", "[red].csv", "--no-sensors")
     holds(done.out, "[red].csv", "'[/bold]'")
     assert not trap.exists()
+
+
+@pytest.mark.usefixtures("trap")
+@pytest.mark.parametrize(("command", "option"), [
+    ("diagnose --max-effects 0", "--max-effects"), ("simulate --out no.csv --seed 4294967296", "--seed"),
+])  # fmt: skip
+def test_numbers_out_of_range_name_their_option(program, command, option):
+    done = program(*command.split())
+    assert done.code == 2
+    assert option in done.err
+    assert "Traceback" not in done.out + done.err

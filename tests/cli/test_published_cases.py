@@ -81,7 +81,7 @@ def record(name: str, folder: Path) -> Path:
     return path
 
 
-VARIANTS = ("TC01", "TC31", "TC34", "TC11 own", "TC04 free")  # of cases that are flown in any way
+VARIANTS = ("TC31", "TC34", "TC11 own", "TC04 free")  # of cases that are flown in any way
 
 
 @pytest.fixture

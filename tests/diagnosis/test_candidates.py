@@ -134,12 +134,12 @@ def test_every_effect_can_be_asked_where_all_channels_are_noise(card, model, cle
 
 # Every effect of the catalogue, hidden in two simulated stalls, leads the first screening; where nothing is hidden,
 # none explains as much as is worth a name. Windows of 40 s about the stall, sensor noise, one length: one compiled
-# program serves all. `make verify` hides each of them, and counts how often whole diagnoses are right
+# program serves all. `make verify` hides each longitudinal one; of the lateral ones those of `ERRORS` and `OF_PLANE`
 SEED, BEGIN, END = 43, 20.0, 60.0  # s of each flight that are looked at
 MOVED = {name: {} for name in ("rudder_moment", "spoiler_lift", "dlc_lift", "flap_lift")}  # surfaces, always deflected
-CANARD = [name for name in CATALOGUE if name.startswith("canard")]  # hidden_records has none: with the lateral ones
+CANARD = [name for name in CATALOGUE if name.startswith("canard")]  # no simulated flight has one
 BASE = [e.name for e in CATALOGUE.values() if {p.name for p in e.parameters} & (set(TRUTH) - {"tau1"})]
-RANDOM = [e.name for e in CATALOGUE.values() if e.disturbance is not None or e.kind is Kind.NOISE]  # test_trajectory
+RANDOM = [e.name for e in CATALOGUE.values() if e.disturbance is not None or e.kind is Kind.NOISE]  # test_terms
 ON_PATH = ["heading_delay"]  # of a channel that bayes-aero path alone compares: test_flight_path
 OTHERS = {*BASE, *RANDOM, *ON_PATH, *CANARD}
 FLOWN = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]  # the others: LATERAL

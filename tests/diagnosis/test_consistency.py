@@ -12,7 +12,9 @@ from stranger import flown
 from stranger_six import drawn, fly
 
 from bayes_aero.diagnosis import consistency as sensors
+from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.selection import filtered_channels, recording_noise
+from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import Agreement, Consistency, noise_of
@@ -436,7 +438,21 @@ BESIDE = {  # what such a sensor shows, of a flight's channels and its angular a
 }  # fmt: skip
 
 
-ALWAYS = (None, "vane_position")  # the others in `make verify`
+@pytest.mark.verify
+def test_a_right_mach_number_beside_a_wrong_airspeed_leaves_the_lift_as_it_is(card):
+    """CLa is 3.6, CD0 .045; moved with the airspeed, the Mach number would make CLa 3.78."""
+    record, right = misread(card, pitot_pressure_bias=300.0), misread(card)
+    record = replace(record, channels={**record.channels, "mach": right.channels["mach"]})
+    found = diagnose([record], card, settings=DiagnosisSettings(gains=False))
+    assert {c.name for c in found.causes} == {"pitot_pressure_bias"}
+    assert not found.minor
+    assert not found.unknown
+    for name, true in (("CLa", 3.6), ("CD0", 0.045)):
+        _, after, sd = found.base_moves[name]
+        assert after == pytest.approx(true, abs=3.0 * sd)
+
+
+ALWAYS = (None, "vane_position", "accelerometer_position")  # the others in `make verify`
 
 
 @pytest.mark.parametrize("name", [

@@ -8,16 +8,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from parts import cause, part
+from scipy.special import erfc
 from scipy.stats import norm
 
-from bayes_aero.diagnosis import consistency, result
+from bayes_aero.diagnosis import consistency, result, unexplained
 from bayes_aero.diagnosis import diagnose as decided
 from bayes_aero.diagnosis import selection as selecting
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.screening import ScreeningResult, autocorrelation_of, uncertainty
 from bayes_aero.diagnosis.search import SearchResult
 from bayes_aero.diagnosis.selection import Extension, LeftOut, backward_elimination, cancelling, implausible
-from bayes_aero.diagnosis.selection_state import DEFAULT, CandidateModel, SelectionState, linearised
+from bayes_aero.diagnosis.selection_state import DEFAULT, CandidateModel, RegressionFit, SelectionState, linearised
 from bayes_aero.diagnosis.trajectories import left_out_of
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effects import CATALOGUE
@@ -433,3 +434,41 @@ def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(state,
     spread = np.sum((weighed[:, :, own] - weighed[:, :, own].mean(axis=0)) ** 2)
     assert decided.own_share(recorded, "pitch_rate_lift") == pytest.approx(left @ left / spread, rel=1e-3)
     assert np.isnan(decided.own_share(recorded, "sideslip_drag"))  # not in
+
+
+@pytest.mark.parametrize(("deviations", "reported"), [(0.358, False), (1.9, False), (2.1, True)])
+def test_an_offset_between_manoeuvres_is_reported_only_beyond_chance(monkeypatch, deviations, reported):
+    """Two manoeuvres: p = erfc(d / sqrt 2) of an offset of d standard errors, .72 at 0.358 and .05 at 1.96."""
+    at, step = np.array([0, 1]), np.array([0.0, deviations * np.sqrt(2.0)])
+    fit, less = (RegressionFit(at, step, np.eye(2), np.array([variance]), 0.0) for variance in (1.0, 1.25))
+    state = part(
+        SelectionState, apart=("Cm",), theta=np.zeros(0), nuisance=2, variance_inflation=1.0, folds=(),
+        full=part(CandidateModel, settings=DEFAULT),
+        responses=SimpleNamespace(flights=SimpleNamespace(names=("one", "two"), lengths=(9, 9))),
+    )  # fmt: skip
+    monkeypatch.setattr(SelectionState, "fit", lambda one: fit if one.apart else less)
+    monkeypatch.setattr(SelectionState, "left", lambda *_: np.zeros((18, 1)))
+    for name, given in {
+        "moved": lambda *_, **__: part(SelectionState, apart=()),
+        "screen": lambda *_, **__: part(ScreeningResult, candidate_scores=()), "uncertainty": lambda *_: np.eye(2),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(unexplained if name == "moved" else unexplained.screening, name, given)
+    found = unexplained.offsets_found(part(Extension, state=state))
+    assert [(one.coefficient, one.channel) for one in found] == ([("Cm", "manoeuvre")] if reported else [])
+    for one in found:
+        assert one.p_value == pytest.approx(erfc(deviations / np.sqrt(2.0)))
+        assert one.offsets == {"two": pytest.approx((deviations * np.sqrt(2.0), np.sqrt(2.0)))}
+
+
+@pytest.mark.parametrize(("left", "verdict"), [(1.2, result.Verdict.PARTLY_EXPLAINED), (0.3, result.Verdict.EXPLAINED)])
+def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed, left, verdict):
+    """One sure cause, and the simulation still off by 1.2 m/s where the sensor is off by 0.3 m/s, or not."""
+    d = replace(diagnosed.view.diagnosis, causes=(cause(),), unknown=(), verdict=verdict)
+    tested = result.Tested({"airspeed": result.OutputMiss(0.3, left, 1.2)})
+    headline, detail, *_ = diagnosis_sentences(replace(d, tested=tested))
+    assert ("explain" in headline) is (verdict is result.Verdict.EXPLAINED)
+    assert ("V 1.2 m/s" in headline) is (verdict is not result.Verdict.EXPLAINED)
+    assert "(noise 0.30 m/s)" in detail
+    off = result.Tested({"q": result.OutputMiss(0.0, 1.0, 1.0)})
+    assert "57 deg/s" in diagnosis_sentences(replace(d, causes=(), verdict=result.Verdict.UNDECIDED, tested=off))[0]
+    assert "was not computed" in diagnosis_sentences(replace(d, tested=result.Tested({})))[0]

@@ -36,8 +36,10 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.physics.aircraft import required_of
+from bayes_aero.report.pages.diagnosis import in_band_sentences
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.simulate.injection import Beyond, flyable, hidden_flights, hidden_records
+from bayes_aero.simulate.demo import Request
+from bayes_aero.simulate.injection import Beyond, flyable, hidden_flights, hidden_records, synthetic
 
 # Hide effects, or nothing, in simulated flights and diagnose them; every effect is in test_candidates.py, and the full
 # study in benchmarks
@@ -94,6 +96,8 @@ def test_the_band_is_that_of_the_motion_and_gives_the_size_that_was_hidden(named
     assert abs(mean - true) < 3.0 * sd
     assert sd < 0.1 * abs(true)
     assert size.apart < 3.0
+    assert "agree: alpha_dot_moment" in in_band_sentences(shown)[0]
+    assert in_band_sentences(None) == ()
     # From two periods of the shorter manoeuvre; nearly all power of the pitch rate is inside.
     state = found.aerodynamics.state
     flights = state.responses.flights
@@ -105,7 +109,9 @@ def test_the_band_is_that_of_the_motion_and_gives_the_size_that_was_hidden(named
     cause = next(c for c in found.causes if c.name == size.cause)
     whole = cause.parameters["Cmadot"]
     off = replace(cause, parameters={"Cmadot": replace(whole, mean=whole.mean + 6.0 * whole.sd)})
-    assert causes_in_band(replace(found, causes=(off,))).sizes[0].apart > 3.0
+    moved_away = causes_in_band(replace(found, causes=(off,)))
+    assert moved_away.sizes[0].apart > 3.0
+    assert "a drift or a slow model error has a part in it" in in_band_sentences(moved_away)[0]
     assert causes_in_band(replace(found, causes=())) is None
     # It is no candidate of the coefficients, and the model in the band has it all the same.
     theta = state.theta.copy()
@@ -527,3 +533,20 @@ def test_a_slope_that_noise_of_the_vane_attenuates_is_no_change(seed, tmp_path):
     found = diagnose(records, six_axes.card_in(tmp_path, plane), seed=seed, settings=QUICK)
     assert found.verdict is Verdict.NO_EFFECT
     assert not found.changes
+
+
+@pytest.mark.verify
+def test_what_a_stall_and_a_multistep_show_is_named(card):
+    """A fit to the multistep alone has no stall, with the effect or without."""
+    hidden = {"alpha_dot_lift": {"CLadot": -9.5}}
+    asked = {"elevator_3211": {}, "slow_stall": {"amplitude": 1.5, "airspeed": 114.7, "altitude": 5200.0}}
+    records = [
+        synthetic(Request(hidden, seed=53600 + 50 * k, manoeuvre=name, **more), card, CATALOGUE, name=name).record
+        for k, (name, more) in enumerate(asked.items())
+    ]
+    found = diagnose(records, card, seed=536, settings=DiagnosisSettings(gains=False, process_noise=False))
+    (cause,) = found.causes
+    size = cause.parameters["CLadot"]
+    assert cause.name == "alpha_dot_lift"
+    assert not found.unknown
+    assert abs(size.mean + 9.5) < 3.0 * size.sd

@@ -241,7 +241,7 @@ def searched_in_gusts(card, truth) -> tuple[searches.SearchResult, PredictionErr
     with pytest.MonkeyPatch.context() as patch:
         few_candidates(patch, FEW)
         patch.setattr(searches, "fit_disturbed", lambda *a, **k: fits.append(fit_disturbed(*a, **k)) or fits[-1])
-        settings = DiagnosisSettings(max_effects=1)
+        settings = DiagnosisSettings(max_effects=3)
         return searches.Search([flight], card, Model.from_card(card), (), settings, 0).innovations(), fits[0][1]
 
 
@@ -264,9 +264,23 @@ def test_what_is_hidden_is_found_in_gusts_as_an_effect_or_as_a_term_beside_what_
         assert abs(size.mean - TRUTH[name]) < 4.0 * size.sd, name
     assert searched.terms == ()
     begun = replace(searched.model, state=searched.model.base, causes=(), minor=(), steps=(), sizes={})
-    (term,) = flown_forms(begun, seed=2).terms
+    forms = flown_forms(begun, seed=2)
+    (term,) = forms.terms
+    assert [(u.coefficient, u.channel) for u in forms.unknown] == [("Cm", "alpha^2")]
     assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")
     assert abs(term.size[0] - Cma2) < 3.0 * term.size[1]
+
+
+@pytest.mark.parametrize("name", ["airspeed_scale", "alpha_scale", "pitch_attitude_bias", "CLa", "Cma2"])
+def test_sensitivities_of_innovations_are_those_of_finite_differences(gusty, name):
+    """An error of scale makes the sensor's noise larger, too, which its sensitivity must hold."""
+    state = gusty[0].model.base
+    directions, step = np.zeros((16, len(state.theta))), 1e-5
+    directions[0, state.full.columns([name])[0]] = 1.0
+    _, slope = state.responses.slopes(state.theta, directions)
+    up, down = (state.responses.evaluate(state.theta + sign * step * directions[0])[0] for sign in (1, -1))
+    difference = (np.asarray(down) - np.asarray(up)) / (2.0 * step)
+    np.testing.assert_allclose(slope[0], difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
 
 
 def test_gusts_have_their_size_and_nothing_is_found_where_nothing_is_hidden(hfb320):

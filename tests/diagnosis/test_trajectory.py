@@ -40,11 +40,14 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import MleResult, MleStatus, OutputErrorStatus
+from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.results import part_of_errors
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.physics.aircraft import FLIGHT
+from bayes_aero.report.pages.fly import disagreement_sentences
+from bayes_aero.report.pages.trajectories import settled_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import hidden_records
 
@@ -268,6 +271,13 @@ def test_process_noise_is_estimated_in_gusts_unless_the_user_decides(monkeypatch
     with pytest.raises(SearchedError) as begun:
         diagnose(records, read_card("hfb320"), settings=DiagnosisSettings(process_noise=given))
     assert (str(begun.value) == "innovations") is expected
+    filtered = []
+    monkeypatch.setattr(job, "with_process_noise", lambda *_: filtered.append(True))
+    outputs = "airspeed,alpha,theta,q,ax,az"
+    first, *_ = job.fly(records, read_card("hfb320"), process_noise=given, outputs=outputs).sentences
+    assert filtered == [True] * expected
+    shown = first.startswith("The flight path alone, without aerodynamics, shows gusts")
+    assert shown is (expected and given is None)
 
 
 # Coefficients and trajectories of the same record: told where they differ beyond what both intervals allow
@@ -291,7 +301,14 @@ def test_what_differs_beyond_both_intervals_is_told_and_the_filter_decides():
     unusable = {"status": MleStatus.NOT_CONVERGED, "converged": False, "at_bound": ("CLa",), "held": ("CLa",)}
     assert [hold_out.fit_disagreements(*fits(**{name: x})) for name, x in unusable.items()] == [()] * 4
     for CLa, still in ((4.33, ()), (3.4, ("CLa",))):
-        assert hold_out.still_apart([apart], Mock(spec=ProcessNoise, estimates={"CLa": (CLa, 0.05)})) == still
+        filtered = Mock(spec=ProcessNoise, estimates={"CLa": (CLa, 0.05)}, preferred=True, converged=True)
+        assert hold_out.still_apart([apart], filtered) == still
+        (sentence,) = settled_sentences([apart], filtered, still, disputed=True)
+        assert sentence.startswith("The coefficients and output error disagree on CLa.")
+        assert ("the model lacks" if still else "Prefer the estimates with process noise") in sentence
+    failed = Mock(spec=ProcessNoise, estimates={"CLa": (4.33, 0.05)}, preferred=False, converged=False)
+    assert settled_sentences([apart], failed, (), disputed=False) == []
+    assert "4.7 combined standard errors apart" in disagreement_sentences([apart])[0]
 
 
 # Modes of a fit with standard errors, against closed forms

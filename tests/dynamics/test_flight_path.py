@@ -101,13 +101,19 @@ def agree(found, sd, expected, names):
         assert sd[ours] == pytest.approx(published["std"], rel=0.05), ours
 
 
-@pytest.mark.verify  # the set-up without calibration and delays, which the next two contain
+@pytest.mark.verify  # by the programs of the next two cases
 def test_biases_of_the_first_case_are_those_published(flights, published):
     """TC22, as published."""
     case = published["TC22"]["methods"]
     det_R, found, sd = fitted(flights, BIASES, fixed=beginnings(case["oem_gauss_newton"]))
     agree(found, sd, case["independent_optimum"], BIASES)
     assert det_R == pytest.approx(case["independent_optimum"]["det_R"], rel=0.01)
+    # With factors and biases of the flow angles and all initial states free.
+    expected = case["independent_optimum_calibration_and_initial_state_free"]
+    det_R, found, sd = fitted(flights, (*BIASES, *CALIBRATION))
+    agree(found, sd, expected, BIASES)
+    calibration_agrees(found, expected)
+    assert det_R == pytest.approx(expected["det_R"], rel=0.01)
 
 
 def test_delays_are_those_published(flights, published):

@@ -198,6 +198,7 @@ WRONG_INPUTS = [
     (put("derived", "density", "standard atmosphere"), "needs altitude"),
     (put("sums", "density", ["mach"]), r"density is both in \[sums\] and in \[derived\]"),
     (put("sums", "elevator", {"elevator_left": "half"}), "'half' is not a number"),
+    (put("sums", "elevator", [["elevator_left"]]), "must hold names of channels"),
     (put("sums", "elevator", 3), "list of channel names, or a table with factors"),
 ]  # fmt: skip
 
@@ -221,11 +222,11 @@ WRONG_LINEAR = [
     (put("linear", "states", ["q", "q"]), "twice"),
     (put("linear", "states", ["alpha", "q", "theta"]), r"theta, which \[channels\] does not map"),
     (put("linear", "rates", "q", None), r"\[linear.rates.q\] is missing"),
-
+    (put("linear", "rates", "p", {"Lp": "q"}), "unknown state"),
     (put("linear", "rates", "q", "Mde", "rudder"), r"rudder, which \[channels\] does not map"),
     (put("linear", "rates", "q", "Mde", 3.0), "write the channel it multiplies"),
     (put("linear", "rates", "q", "Mde", {"elevator": "big"}), "not a number"),
-
+    (put("linear", "rates", "q", {}), "must be a table of parameters"),
     (put("linear", "outputs", "ax", {"X0": "1"}), r"ax, which \[channels\] does not map"),
     (put("linear", "outputs", "q", {"Xq": "q"}), "is a state"),
     (put("linear", "fixed", "Mp", 1.0), "Mp is a parameter of no row"),
@@ -237,10 +238,10 @@ WRONG_LINEAR = [
     (put("constants", {"wobble": "3 deg"}), "not a channel of the program"),
     (put("constants", {"density": "0.8"}), "without a unit"),
     (put("constants", {"density": "792 kg/m^3"}), "check its unit"),
-
+    (put("constants", {"time": "1 s"}), "time cannot be constant"),
     (put("fly", {"output": ["q"]}), "did you mean 'outputs'"),
-
-
+    (put("fly", {"outputs": "q"}), r"\[fly\] outputs must be a list"),
+    (put("fly", {"initial_state": ["q"]}), r"\[fly\] initial_state must be a table"),
     (put("fly", {"initial_state": {"theta": "0 deg"}}), "initial_state has theta, which .channels. does not map"),
     (put("fly", {"initial_state": {"q": "3 m"}}), r"\[fly\] initial_state q"),
     (put("envelope", {"alpha": "18 deg"}), "write the least and the greatest value"),

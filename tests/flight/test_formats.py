@@ -21,6 +21,7 @@ import xarray as xr
 from flight_samples import CHANNELS, dataflash, refused, remap, sound, spoilt, ulog, workbook, written
 from scipy.io import savemat
 
+from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
 from bayes_aero.flight import binary
 from bayes_aero.flight.channel import Channel
@@ -34,6 +35,11 @@ LIBRARIES = {".xlsx": "openpyxl", ".mf4": "asammdf", ".ulg": "pyulog", ".bin": "
 FORMATS = (".asc", ".txt", ".dat", ".csv", ".mat", ".parquet", ".nc")
 TWO = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))
 NAMED = (".csv", ".mat", ".parquet", ".nc")
+
+
+def test_every_reader_is_listed_and_tested():
+    assert set(SUFFIXES.split()) == set(READERS) - {".tsv", ".txt", ".dat"}  # variants of .csv and .asc
+    assert set(FORMATS) == set(READERS) - {".tsv", *OPENERS}
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

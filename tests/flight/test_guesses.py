@@ -26,6 +26,7 @@ from bayes_aero.jobs.preparing import starter_card
     ("Roll Rate (deg/sec)", "p", "deg/s"), ("Yaw Rate (deg/sec)", "r", "deg/s"), ("Sideslip (deg)", "beta", "deg"),
     ("Magnetic Heading (deg)", "psi", "deg"), ("True Airspeed (kt)", "airspeed", "kt"),
     ("AirspeedTrue_kt", "airspeed", "kt"), ("Normal Accel [g]", "az", "g"), ("P_RATE", "p", None),
+    ("alpha,__deg", "alpha", "deg"), ("Vtrue,_ktas", "airspeed", "kt"), ("Gload,norml", "az", None),
 ])  # fmt: skip
 def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
     key, its_unit = split_heading(plain_heading(heading))

@@ -116,6 +116,7 @@ def test_the_records_of_the_book_are_silent_in_their_units(name):
     assert [*air_data(read_record(BOOK / name, attas.channels), attas)] == []
 
 
+TRIALS = BOOK.parent / "trials"
 FORWARD_LEFT_UP, LATERAL = ("ay", "az", "q", "r", "theta", "psi"), ("phi", "psi", "beta", "p", "r", "ay")
 FLU, AFT = (f"the axes of the sensors are {axes}" for axes in ("x forward, y left, z up", "x aft, y right, z up"))
 IN_PITCH = (*LATERAL, "altitude")
@@ -298,3 +299,17 @@ def test_time_in_another_unit_is_reported():
     findings = channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
     (finding,) = [f for f in findings if f.fault == "unit"]
     assert 'unit = "s" for it on the card' in finding.sentence
+
+
+@pytest.mark.skipif(not TRIALS.is_dir(), reason="the small inputs of a user are not in ../shared/trials")
+def test_the_axes_of_a_simulated_stall_are_named_and_its_elevator_is_not_blamed():
+    """README of the inputs: sensors x forward, y left, z up. Yaw rate and heading turn together there."""
+    attas = read_card("attas")
+    record = read_record(TRIALS / "axes_flu.csv", attas.channels)
+    (finding,) = [f for f in channel_health([record], attas) if f.grave]
+    assert finding.fault == "axes"
+    assert "x forward, y left, z up" in finding.sentence
+    assert set(re.search(r"sign = -1 at ([\w, ]+) on", finding.sentence)[1].split(", ")) == set(FORWARD_LEFT_UP)
+    channels = tuple(replace(c, sign=-1) if c.name in FORWARD_LEFT_UP else c for c in attas.channels)
+    followed = replace(attas, channels=channels)
+    assert channel_health([read_record(TRIALS / "axes_flu.csv", channels)], followed) == ()

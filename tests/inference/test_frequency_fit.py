@@ -166,6 +166,7 @@ def test_both_ailerons_are_one_input():
 
 @pytest.mark.parametrize(("band", "said"), [
     ((0.0, 1.0), "the band 0 to 1 Hz is empty"), ((0.101, 0.12), "its lines are 0.05 Hz apart"),
+    ((0.1, 12.5), "shows frequencies below"), ((1.0, 0.5), "1 to 0.5 Hz"),
 ])  # fmt: skip
 def test_a_band_without_lines_is_refused(band, said):
     with pytest.raises(InputError, match=said):
