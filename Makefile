@@ -4,9 +4,9 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 # What one worker, notebook or command has compiled the others read.
 COMPILED := JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.cache/compiled JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.2
-# Half of the tests' time is compiling; the former emitters of the pinned jaxlib and less optimisation halve that, and run as fast.
-# Level 0 would compile a fifth faster still, but run Kalman filters at half the speed.
-QUICK_TO_COMPILE := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
+# Half of the tests' time is compiling; the former emitters of the pinned jaxlib, one part a program and no optimisation take half of that.
+# Programs that run often ask for level 1 themselves (processes.compiled_at).
+QUICK_TO_COMPILE := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 # Two test workers on two cores: a second BLAS thread in each makes the Gaussian processes several times slower.
 # One worker does what shares fixtures (tests/conftest.py); groups begin in the order in which they are collected.
 PYTEST := $(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder --durations=25

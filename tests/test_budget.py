@@ -14,7 +14,7 @@ LIMITS = {
     "bayes_aero: files": 129,
     "bayes_aero: private helpers used once": 234,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 21459,
+    "tests: lines": 21619,
     "tests: files": 85,
     "benchmarks: lines": 4424,
     "benchmarks: files": 25,

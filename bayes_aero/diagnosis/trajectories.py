@@ -41,7 +41,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior, departure
 from bayes_aero.physics.aircraft import altitude_of_density
-from bayes_aero.processes import blas_threads, compiled_quickly, cores
+from bayes_aero.processes import blas_threads, compiled_at, cores
 from bayes_aero.progress import Progress
 
 Vector = Float[np.ndarray, " k"]
@@ -164,7 +164,7 @@ def with_process_noise(
     return noise, sample
 
 
-_smoothed = compiled_quickly(jax.vmap(smooth))
+_smoothed = compiled_at(0)(jax.vmap(smooth))
 
 
 def _histories(

@@ -32,7 +32,7 @@ from bayes_aero.dynamics.system import (
     stage_points,
     stage_table,
 )
-from bayes_aero.processes import compiled_quickly
+from bayes_aero.processes import compiled_at
 
 Theta = Float[Array, " k"]
 PerState = Float[Array, " s"]
@@ -595,7 +595,7 @@ class Observer(NamedTuple):
     whitening: Float[Array, "w n c c"]
 
 
-@compiled_quickly
+@compiled_at(0)
 def observer_of(flown: SegmentTrajectories, theta: Theta, R: PerOutput, filtered: Filtered) -> Observer:
     """The gains of `filter_segments` at `theta` and `R`, to be held while parameters vary; `filtered` is its result."""
     prepared = prepare(flown, theta)

@@ -23,7 +23,7 @@ from bayes_aero.physics.aircraft import DEFAULT_RANGES, GRAVITY, Aircraft, Axis,
 from bayes_aero.physics.coefficients import accelerometers, motion_of_aircraft
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.physics.kinematics import euler_rates
-from bayes_aero.processes import compiled_quickly
+from bayes_aero.processes import compiled_at
 
 # --- The simulated aircraft in three degrees of freedom: pilot, prescribed turn, and disturbances of the
 # coefficients.
@@ -188,7 +188,7 @@ def _fly(model: Model, values: dict[str, Any], aircraft: Aircraft, u: dict[str, 
     return {name: jnp.where(flown.inside, x, jnp.nan) for name, x in (flown.outputs | {"psi": psi}).items()}
 
 
-_fly_several = compiled_quickly(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0, 0, 0, None)))
+_fly_several = compiled_at(0)(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0, 0, 0, None)))
 
 
 # --- Flights through random gusts: a system whose states include gusts, driven by their white noise.
@@ -317,7 +317,7 @@ def _fly_rigid(
     return {name: np.where(trajectory.inside, x, np.nan) for name, x in flight.items()}
 
 
-_integrate = compiled_quickly(integrate)
+_integrate = compiled_at(0)(integrate)
 
 
 # --- Flight-test inputs: their shapes, and the standard inputs, simulated from steady.trimmed level flight.

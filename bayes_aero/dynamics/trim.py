@@ -21,7 +21,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import GRAVITY, Aircraft, Axis, air
 from bayes_aero.physics.coefficients import moments, specific_force
 from bayes_aero.physics.kinematics import RATES
-from bayes_aero.processes import compiled_quickly
+from bayes_aero.processes import compiled_at
 
 CONTROLS = ("elevator", "stabilizer")  # of the pitching moment; the pilot uses the first one with an effect
 SIGNALS = frozenset((  # signals that effects may read in the simulation; there is no canard
@@ -122,7 +122,7 @@ def trimmed(model: Model, values: Values, aircraft: Aircraft, airspeed: float, a
     return Trim(alpha, float(thrust), float(-offset / slope))
 
 
-@compiled_quickly
+@compiled_at(0)
 def _balance(model: Model, values: Any, aircraft: Aircraft, airspeed: Any, altitude: Any, *rows: Any):
     alpha, thrust, further = (jnp.asarray(row) for row in rows)
     shares, command = lead(model, values, aircraft, alpha, airspeed, altitude)
@@ -208,7 +208,7 @@ def rigid_trim(model: Model, values: Values, aircraft: Aircraft, condition: Cond
     )
 
 
-@compiled_quickly
+@compiled_at(0)
 def _linear(body: RigidBody, given: Condition, controls: tuple[str, ...], unknown: Float[Array, " k"]):
     """Accelerations and climb that are not balanced, and their derivative by the unknowns."""
 
@@ -376,7 +376,7 @@ def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: fl
     return tuple(MotionMode(names[k], complex(eigenvalues[k])) for k in (*plane, *oscillations, *aperiodic))
 
 
-@compiled_quickly
+@compiled_at(0)
 def _linearised(
     body: RigidBody, moving: tuple[str, ...], x: Mapping[str, Any], u: Mapping[str, Any]
 ) -> Float[Array, "s s"]:

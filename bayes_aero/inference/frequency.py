@@ -147,13 +147,12 @@ def fit_in_band(
 
 def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> BandStep:
     """Least squares for all columns, with the variances of the outputs that it leaves."""
-    _, c, k = S.shape
-    left, step = residual, np.zeros(k)
+    left, step = residual, np.zeros(S.shape[2])
     if not (np.isfinite(residual).all() and np.isfinite(S).all()):  # an unstable system beyond all numbers
-        return BandStep(step, left, np.full(c, np.inf))
+        return BandStep(step, left, np.full(S.shape[1], np.inf))
     for _ in range(REWEIGHTED):
         R = np.maximum(np.mean(np.square(left), axis=0), EXACT)
-        weighted = (S / np.sqrt(R)[:, None]).reshape(residual.size, k)
+        weighted = (S / np.sqrt(R)[:, None]).reshape(residual.size, len(step))
         scale = np.sqrt(np.maximum(np.sum(np.square(weighted), axis=0), np.finfo(float).tiny))
         step = np.linalg.lstsq(weighted / scale, (residual / np.sqrt(R)).ravel(), rcond=1e-12)[0] / scale
         left = residual - S @ step

@@ -51,7 +51,7 @@ from bayes_aero.model.observations import Observations, observe
 from bayes_aero.model.records import Forming
 from bayes_aero.parameter import Parameter, Role
 from bayes_aero.physics.aircraft import Aircraft
-from bayes_aero.processes import compiled_quickly
+from bayes_aero.processes import compiled_at
 
 MAX_ITERATIONS = 100
 TOLERANCE = 1e-7  # expected gain in log-likelihood of one more step: 5e-4 Cramer-Rao standard errors
@@ -491,7 +491,7 @@ def maxima(x: Float[np.ndarray, " g"], y: Float[np.ndarray, "m g"]):
     return peak, np.where(edge, x[i], x[j] + shift * (x[1] - x[0])), edge
 
 
-@compiled_quickly
+@compiled_at(0)
 def _flows(model, thetas: Float[Array, "m k"], alpha: Float[Array, " g"], rates: Float[Array, " r"], held, aircraft):
     flows = jax.vmap(lambda theta, rate: steady_flow(model, theta, alpha, rate, held, aircraft), in_axes=(None, 0))
     return jax.lax.map(lambda theta: flows(theta, rates), thetas)

@@ -38,7 +38,7 @@ from bayes_aero.inference.optimise import (
 )
 from bayes_aero.inference.results import Inseparable, OutputErrorStatus, inseparable
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.processes import compiled_quickly, cores
+from bayes_aero.processes import compiled_at, cores
 
 OfStates = Float[np.ndarray, "w s"]
 
@@ -378,7 +378,7 @@ FIRST_DAMPING, MIN_DAMPING = 1e-2, 1e-4  # relative to the information's diagona
 MIN_GAIN_RATIO = 0.05  # least ratio of actual to expected gain of a step
 
 
-_simulate = compiled_quickly(simulate)
+_simulate = compiled_at(0)(simulate)
 
 
 def trajectories(flown: SegmentTrajectories, theta: Any, departure: Any) -> Simulated:

@@ -43,6 +43,7 @@ from bayes_aero.inference.results import COLOURED_INNOVATIONS, Calibration, OneS
 from bayes_aero.inference.sampling import EnsembleLength, NutsLength, find_mode, inside, sample_ensemble, sample_nuts
 from bayes_aero.model.observations import LogDensity
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.processes import compiled_at
 from bayes_aero.progress import Progress
 
 TOLERANCE, HELD_GAINS_TOLERANCE = 1e-3, 0.3  # of the log likelihood, with exact gradients and with the gains held
@@ -87,13 +88,13 @@ def _filter(flown, point, start_deviation, k, s):
     return filter_segments(flown, point[:k], start_deviation, jnp.exp(point[k : k + s]), jnp.exp(point[k + s :]))
 
 
-@eqx.filter_jit
+@compiled_at(1)
 def _filter_segments(flown, point, start_deviation, k, s):
     filtered = _filter(flown, point, start_deviation, k, s)
     return -jnp.sum(jax.vmap(log_likelihood)(filtered)), filtered
 
 
-@eqx.filter_jit
+@compiled_at(1)
 def _evaluate(flown, point, start_deviation, k, s):
 
     def at(point):
@@ -105,7 +106,7 @@ def _evaluate(flown, point, start_deviation, k, s):
     return _scores(e, S, de, dS, filtered.used)
 
 
-@eqx.filter_jit
+@compiled_at(1)
 def _evaluate_held_gains(flown, path, point, start_deviation, k, s, means):
     """Cost, approximate gradient and information along a filtered `path`, for a fraction of the time."""
     # The gains are held while the parameters `means` (indices) vary. The parameters of disturbances and noise vary in

@@ -27,7 +27,7 @@ from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
 from bayes_aero.physics.aircraft import NAMES, Aircraft, required_of
 from bayes_aero.physics.coefficients import alike_joined, condition_joined, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, recurrence
-from bayes_aero.processes import compiled_quickly
+from bayes_aero.processes import compiled_at
 
 # --- Plain classes that are pytrees of compiled programs.
 
@@ -60,7 +60,6 @@ def response_scales(
     model: Model, values: Mapping[str, Any], channels: Mapping[str, Array], aircraft: Aircraft, names: Sequence[str]
 ) -> dict[str, Array]:
     """Derivative of each corrected channel of `names` with respect to the recorded channel."""
-
     # One channel at a time: the influence of other channels (pitch rate on the vane's angle) does not count. Only the
     # effects that correct a channel are traced again for it.
     in_time, scales = model.in_time(values, channels, aircraft), {}
@@ -184,7 +183,7 @@ def observe(
     )
 
 
-@compiled_quickly
+@compiled_at(0)
 def _formed(
     model: Model,
     forming: Forming,

@@ -34,7 +34,7 @@ from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Envelope, required_of
-from bayes_aero.processes import compiled_quickly, cores
+from bayes_aero.processes import compiled_at, cores
 from bayes_aero.progress import Progress
 from bayes_aero.qualification import FlightKind
 from bayes_aero.residuals.equation_error import EquationError
@@ -84,7 +84,7 @@ def gust_spread(
         return np.stack(list(pool.map(added, ((d, rng.standard_normal((n + 1, s))) for d in draws))))
 
 
-@compiled_quickly
+@compiled_at(0)
 def _added(gusty: SegmentTrajectories, theta: Float[Array, " k"], white: Float[Array, "m s"]) -> Float[Array, "n c"]:
     prepared = prepare(gusty, theta)
     states = prepared.initial_states

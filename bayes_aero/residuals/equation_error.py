@@ -31,6 +31,7 @@ from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import LiftRegression, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
 from bayes_aero.physics.kinematics import LATERAL, PATH
+from bayes_aero.processes import compiled_at
 from bayes_aero.residuals import base
 from bayes_aero.units import number
 
@@ -194,7 +195,7 @@ def _residuals(padded: _Padded, theta):
 _evaluate = eqx.filter_jit(_residuals)
 
 
-@eqx.filter_jit
+@compiled_at(1)
 def _linearise(padded: _Padded, theta, measuring, flowing):
     """Residuals, slopes in directions that change the measured coefficients, and those of coefficients in others."""
     # One program for both: most of it is the same, and directions of zeros cost nothing.

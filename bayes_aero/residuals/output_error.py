@@ -22,7 +22,7 @@ from bayes_aero.effect import Effect, Example, Stage, effect
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.processes import compiled_quickly
+from bayes_aero.processes import compiled_at
 from bayes_aero.residuals import base
 
 # --- Output error: recorded minus simulated channels, in windows with an initial state each.
@@ -266,8 +266,8 @@ def channel_of(coefficient: str) -> str:
     return f"added_{coefficient}"
 
 
-_states = compiled_quickly(lambda responses, theta: responses.states(theta))
-_by_input = compiled_quickly(kalman.derivatives_by_input)
+_states = compiled_at(0)(lambda responses, theta: responses.states(theta))
+_by_input = compiled_at(0)(kalman.derivatives_by_input)
 
 
 @eqx.filter_jit

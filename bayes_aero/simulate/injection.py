@@ -26,7 +26,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import plain_marks
 from bayes_aero.physics.aircraft import GAMMA, GAS, NAMES, Aircraft, Axis, Envelope, air, excursion
-from bayes_aero.processes import compiled_quickly
+from bayes_aero.processes import compiled_at
 from bayes_aero.simulate import demo
 
 T = TypeVar("T")
@@ -396,8 +396,8 @@ class _Correction(eqx.Module):
         return LinearOperator((x.size,) * 2, matvec=on(_forward), rmatvec=on(_backward), dtype=np.float64)  # pyright: ignore[reportCallIssue]
 
 
-_forward = compiled_quickly(lambda correction, x, change: jax.jvp(correction, (x,), (change,))[1])
-_backward = compiled_quickly(lambda correction, x, weight: jax.vjp(correction, x)[1](weight)[0])
+_forward = compiled_at(0)(lambda correction, x, change: jax.jvp(correction, (x,), (change,))[1])
+_backward = compiled_at(0)(lambda correction, x, weight: jax.vjp(correction, x)[1](weight)[0])
 
 
 def corrected(
