@@ -18,6 +18,8 @@ from bayes_aero.flight.record import write_record
 from bayes_aero.jobs.documents import DOCUMENTS, document_schema
 from bayes_aero.jobs.store import plain
 
+RINGS = 3  # a defect: to resample rings about a step of thrust, which is then called frozen in a sound record
+
 
 def called(folder, *arguments):
     """What the program gives (code, out, err) that is called in this folder, for fixtures that many tests share."""

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 42000,
+    "bayes_aero: lines": 41998,
     "bayes_aero: files": 129,
     "bayes_aero: private helpers used once": 234,
     "bayes_aero: class names with several meanings": 0,
@@ -19,7 +19,7 @@ LIMITS = {
     "benchmarks: lines": 4424,
     "benchmarks: files": 25,
     "benchmarks/README.md: lines": 248,
-    "CHANGELOG.md: lines": 149,
+    "CHANGELOG.md: lines": 150,
     "docs: words": 24703,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it

@@ -214,7 +214,7 @@ STABLE = [  # a motion to the right, and the side on which a stable aircraft of 
 
 @pytest.mark.parametrize(("name", "channel", "coefficient", "side"), STABLE)
 def test_defaults_have_the_sign_of_a_stable_aircraft(card, name, channel, coefficient, side):
-    """An estimate on the other side is told, but of two whose sign may differ."""
+    """An estimate of the wrong sign is reported, except two parameters that may have either."""
     model = Model.of([name], axes=BOTH)
     (p,), signals = model.parameters, {key: np.array([x]) for key, x in (REST | {channel: 0.1}).items()}
     told = sign_sentences({p.name: (-p.start, 0.001)}, [p])

@@ -16,7 +16,7 @@ from typing import Any
 from jaxtyping import Float
 
 from bayes_aero.arrays import AnyArray, namespace, xp
-from bayes_aero.effect import NEUTRAL_FLOW, WINGS, Disturbance, Effect, Known, Stage, Values
+from bayes_aero.effect import NEUTRAL_FLOW, WINGS, Disturbance, Effect, Known, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
@@ -202,17 +202,6 @@ class Model:
     def in_time(self, values: Mapping[str, Any], channels: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
         """Recorded channels corrected for delays alone."""
         return self._run((Stage.CHANNEL,), channels, values, channels, aircraft, delays=True)
-
-    def corrected_channel(
-        self, name: str, series: Any, values: Values, channels: Signals, in_time: Signals, a: Aircraft
-    ) -> Any:
-        """One of the `corrected` channels as a function of what was recorded as it; the others, `in_time`, stay."""
-        makers = [e for e in self.acting if e.stage is Stage.CHANNEL and name in e.example.increments]
-        for delays, others in ((True, channels), (False, in_time)):
-            signals = {**others, name: series}
-            made = [e.increments(values, signals, a, signals) for e in makers if e.delays is delays]
-            series = sum((x[name] for x in made if name in x), series)
-        return series
 
     def actual_aircraft(self, values: Mapping[str, Any], aircraft: Aircraft) -> Aircraft:
         """The card's aircraft with the increments of all effects of stage AIRCRAFT; positions add by coordinates."""

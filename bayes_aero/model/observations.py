@@ -62,11 +62,20 @@ def response_scales(
     """Derivative of each corrected channel of `names` with respect to the recorded channel."""
     # One channel at a time: the influence of other channels (pitch rate on the vane's angle) does not count. Only the
     # effects that correct a channel are traced again for it.
-    in_time, scales = model.in_time(values, channels, aircraft), {}
-    for name in (n for n in names if n in channels):
-        correct = partial(model.corrected_channel, name, values=values, channels=channels, in_time=in_time, a=aircraft)
-        scales[name] = jax.jvp(correct, (channels[name],), (jnp.ones_like(channels[name]),))[1]
-    return scales
+    in_time = model.in_time(values, channels, aircraft)
+    errors = [e for e in model.acting if e.stage is Stage.CHANNEL]
+    corrects = [e.increments(values, in_time, aircraft, in_time).keys() for e in errors]
+
+    def corrected(name, series):
+        makers = [e for e, channel_names in zip(errors, corrects, strict=True) if name in channel_names]
+        for delays, others in ((True, channels), (False, in_time)):
+            signals = {**others, name: series}
+            made = [e.increments(values, signals, aircraft, signals)[name] for e in makers if e.delays is delays]
+            series = sum(made, series)
+        return series
+
+    series_by_name = {name: channels[name] for name in names if name in channels}
+    return {name: jax.jvp(partial(corrected, name), (x,), (jnp.ones_like(x),))[1] for name, x in series_by_name.items()}
 
 
 def join(records: Sequence[FlightRecord], card: Card, *required: Any) -> Flights:

@@ -11,7 +11,7 @@ import pytest
 import six_axes as six
 import stranger_six
 import xarray as xr
-from calling import answer, holds, page_of, refused, succeeded, validated
+from calling import RINGS, answer, holds, page_of, refused, succeeded, validated
 
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.trim import Steady, modes
@@ -108,7 +108,7 @@ def test_a_model_that_cannot_fly_is_exit_code_one(program, tmp_path):
 def test_a_model_of_effects_flies_a_stall(program, flights):
     """Without noise, so that the truth is what comes out; in one window, which compiles less."""
     asked = ("--windows", "60", "--resample", "0.08", "--no-process-noise", "--no-figures", "--json")
-    content = validated(answer(program("fly", flights.sound, *asked), 0, 3), "trajectories")  # 3: thrust stood still
+    content = validated(answer(program("fly", flights.sound, *asked), RINGS), "trajectories")
     assert "altitude" not in content["fitted_outputs"]
     start, fitted = (next(p for p in content["paths"] if p["model"] == model) for model in ("start", "fitted"))
     assert set(fitted["outputs"]) == {*content["fitted_outputs"], "altitude"}

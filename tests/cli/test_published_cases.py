@@ -91,7 +91,7 @@ def fly(program, tmp_path, monkeypatch):
 
     def run(card, paths, *options):
         done = program("fly", *paths, "--model", card, *options, "--no-figures", "--out", "out")
-        succeeded(done, 0, 3)  # 3: the sensors of the record disagree, which is told
+        succeeded(done, 0, 3)  # 3: the sensors of the record disagree, which is reported
         content = json.loads((tmp_path / "out" / "trajectories.json").read_text())
         assert content["status"] == "converged"
         return content, " ".join(done.out.split())

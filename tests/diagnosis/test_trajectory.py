@@ -1,4 +1,4 @@
-"""Models flown along records by simulation, what unseen flights say of them, and other fits of the same record."""
+"""Models flown along records by simulation, their errors on hold-out flights, and other fits of the same record."""
 
 import math
 from dataclasses import replace
@@ -51,7 +51,7 @@ from bayes_aero.report.pages.trajectories import settled_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import hidden_records
 
-# The simulation before and after the extension: what unseen flights keep of it, and of a lag of the separation point
+# The simulation of hold-out flights before and after the extension, and with a lag of the separation point
 SEED = 4132
 BANDS = {"airspeed": 1.5, "alpha": 0.035, "theta": 0.035}
 NOBODY = {0: {}, 1: {}}
