@@ -17,8 +17,9 @@ STAMP := $(VENV)/.installed
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.13")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[test,docs]'
-	$(BIN)/python -m compileall -q -j 0 -x '/(tests?|testing)/' $(VENV)/lib bayes_aero >/dev/null 2>&1 || true  # side by side; else the first command does it, in 10 s
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt uv || true  # installs in a fifth of pip's time
+	$(BIN)/uv pip install --quiet --python $(BIN)/python -c constraints.txt -e '.[test,docs]' || $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[test,docs]'
+	$(BIN)/python -m compileall -q -j 0 -x '/(tests?|testing|dialects|pip|setuptools|debugpy|statsmodels)/' $(VENV)/lib bayes_aero >/dev/null 2>&1 || true  # side by side; else the first command does it, in 10 s
 	touch $(STAMP)
 
 install: $(STAMP)  ## the environment alone, into .venv

@@ -1,7 +1,8 @@
 """Formulas that take NumPy's arrays and JAX's alike, in modules that do not import JAX: it takes seconds to load.
 
-What a quick command needs (`check`, `card`) runs in NumPy; a fit traces the same lines with JAX. `namespace` is the
-array API's `array_namespace`, which JAX's tracers do not have. Source: https://data-apis.org/array-api
+What a quick command needs (`check`, `card`) runs in NumPy; a fit traces the same lines with JAX. Data outside of
+compiled programs are NumPy's: JAX compiles an operation of its own for each shape, which takes 20 ms. `namespace` is
+the array API's `array_namespace`, which JAX's tracers do not have. Source: https://data-apis.org/array-api
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The entry point: what Ctrl-C does before a command has begun, and where a library drops it."""
 
 import _thread
+import gc
 import os
 import signal
 import sys
@@ -9,6 +10,7 @@ from types import FrameType
 from typing import NoReturn
 
 INTERRUPTED = 130  # as in bayes_aero.cli.terminal, which is not imported yet
+SELDOM = (50_000, 20, 100)  # of garbage collection: tracing makes millions of objects that are in no cycle
 TOLD = "interrupted; nothing had been written yet, give the same command again\n"
 
 
@@ -27,6 +29,7 @@ def main() -> None:
     before = signal.getsignal(signal.SIGINT), sys.unraisablehook
     heeded = before[0] is not signal.SIG_IGN  # a shell has a program in the background ignore Ctrl-C
     sys.unraisablehook = _heed
+    gc.set_threshold(*SELDOM)
     try:
         signal.signal(signal.SIGINT, leave if heeded else signal.SIG_IGN)
         from bayes_aero.cli import main as program

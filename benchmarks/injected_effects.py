@@ -24,8 +24,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import marks
-from bayes_aero.model.records import with_sums
+from bayes_aero.model.records import plain_marks, with_sums
 from bayes_aero.physics.coefficients import condition_joined
 from bayes_aero.simulate.injection import misrecorded
 
@@ -113,7 +112,7 @@ def _one(record: FlightRecord, effects: Mapping[str, Mapping[str, float]], card:
         if missing:
             raise InputError(f"effect {name} needs channel {', '.join(missing)}, which {record.name} does not have")
         if effect.stage is Stage.CHANNEL:
-            channels |= misrecorded(Model.of([effect]), values, channels, marks(record.n, dt), card.aircraft)
+            channels |= misrecorded(Model.of([effect]), values, channels, plain_marks(record.n, dt), card.aircraft)
         else:
             moment = _moment(effect, values, channels, dt, card)
             channels["elevator"] = channels["elevator"] - moment / Cmde

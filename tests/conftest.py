@@ -1,5 +1,6 @@
 """Fixtures that several test folders share."""
 
+import gc
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import typechecker  # before the package is imported
 
 from bayes_aero.diagnosis.diagnose import diagnose, view_of
 from bayes_aero.diagnosis.selection_state import DiagnosisSettings
+from bayes_aero.entry import SELDOM
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading import read_record
@@ -22,6 +24,7 @@ from bayes_aero.processes import full_of_programs, give_back_memory
 from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import hidden_records
 
+gc.set_threshold(*SELDOM)  # as the program does
 ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas"
 TESTS = Path(__file__).parent
 sys.path.append(str(TESTS.parent / "benchmarks"))  # after all that is installed: one of them is called `coverage`
@@ -43,13 +46,9 @@ def pytest_collection_modifyitems(items):
 
 
 def _group(item) -> str:
-    for apart in ("forgets", "cluster"):
-        if apart in item.keywords:
-            return apart
-    if "diagnosed" in item.fixturenames:
-        return "diagnosed"
-    place = item.path.relative_to(TESTS).parts
-    return place[0].removesuffix(".py")
+    apart = [mark for mark in ("forgets", "cluster") if mark in item.keywords]
+    apart += ["diagnosed"] if "diagnosed" in item.fixturenames else []
+    return [*apart, item.path.relative_to(TESTS).parts[0].removesuffix(".py")][0]
 
 
 def pytest_runtest_setup(item):

@@ -15,8 +15,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import marks, observe, response_scales
-from bayes_aero.model.records import marks_of
+from bayes_aero.model.observations import observe, response_scales
+from bayes_aero.model.records import marks_of, plain_marks
 from bayes_aero.physics.aircraft import Aircraft, Axis
 from bayes_aero.physics.kinematics import path_rates
 from bayes_aero.report.pages.estimates import sign_sentences
@@ -270,7 +270,7 @@ def corrected(card, sizes, channels):
     """Channels of the record as they truly were, with errors of these sizes taken out."""
     model = Model.of(list(sizes), axes=BOTH)
     owners = {p.name: e.name for e in model.effects for p in e.parameters}
-    given = marks(N, DT) | {name: jnp.asarray(x) for name, x in channels.items()}
+    given = plain_marks(N, DT) | {name: jnp.asarray(x) for name, x in channels.items()}
     return model.corrected({p: jnp.asarray(sizes[name]) for p, name in owners.items()}, given, card.aircraft)
 
 
@@ -384,7 +384,7 @@ def test_accelerometers_elsewhere_read_the_acceleration_of_their_own_place(card,
 def test_pitch_rate_in_the_vanes_angle_does_not_change_its_unit(card):
     """A delay and a place away from the CG leave a degree a degree; a scale does not."""
     names = ("alpha", "q", "airspeed")
-    channels = marks(N, DT) | dict(zip(names, (wave(T), wave(T + 1.0), jnp.full(N, 80.0)), strict=True))
+    channels = plain_marks(N, DT) | dict(zip(names, (wave(T), wave(T + 1.0), jnp.full(N, 80.0)), strict=True))
     for effect, value, unit in (("vane_position", 13.0, 1.0), ("alpha_delay", 0.1, 1.0), ("alpha_scale", 0.25, 0.8)):
         scale = response_scales(Model.of([effect]), {effect: jnp.asarray(value)}, channels, card.aircraft, names)
         np.testing.assert_allclose(scale["alpha"][INNER], unit, rtol=0.02)

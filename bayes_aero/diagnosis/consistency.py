@@ -24,7 +24,7 @@ from bayes_aero.flight.health import Agreement, Consistency, Departure, OpenErro
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import cluster_covariance, nats
 from bayes_aero.model.model import Model, lengths_of, own_effects
-from bayes_aero.model.records import Flights, despiked, joined
+from bayes_aero.model.records import Flights, despiked, join
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import NO_AIRCRAFT, Axis
 from bayes_aero.physics.filters import differentiate_joined
@@ -67,7 +67,7 @@ def consistency(
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> Flights:
     """Without the errors of the record that the card states."""
-    flights = joined(records, card, PATH_CORE)
+    flights = join(records, card, PATH_CORE)
     if card.linear is None:
         model = Model.from_card(card)
         stated, fixed = [e for e in model.effects if e.stage is Stage.CHANNEL], dict(model.fixed)
@@ -180,7 +180,7 @@ def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int =
 
 def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
     """Why the flight path cannot be checked at all; empty where it can."""
-    flights = joined(records, card, ())
+    flights = join(records, card, ())
     missing = [n for n in PATH_CORE if n not in flights.channels]
     if missing:
         return f"the flight path needs {', '.join(missing)}"

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -25,8 +24,7 @@ from bayes_aero.dynamics.trim import Condition
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import marks
-from bayes_aero.model.records import Flights
+from bayes_aero.model.records import Flights, plain_marks
 from bayes_aero.physics.aircraft import Axis, Envelope, altitude_of_density, excursion
 from bayes_aero.residuals.base import flight_path
 from bayes_aero.residuals.equation_error import EquationError
@@ -325,8 +323,8 @@ def standard(
     flown = {}
     for name, channels in ((n, channels) for n, channels in made.items() if n not in unseen):
         n = len(channels["alpha"])  # a channel that the simulator does not make keeps its mean
-        full = {c: channels.get(c, np.full(n, float(jnp.mean(flights.channels[c])))) for c in flights.recorded}
-        signals = {c: jnp.asarray(x) for c, x in full.items()} | marks(n, dt)
+        full = {c: channels.get(c, np.full(n, float(np.mean(flights.channels[c])))) for c in flights.recorded}
+        signals = full | plain_marks(n, dt)
         flown[name] = Flights(signals, flights.aircraft, np.zeros(n, int), np.arange(n) * dt, (n,), ("standard",))
     excursions = {n: excursion(made[n]) for n in flown}
     refused |= {n: f"{channel} was not recorded" for n, channel in unseen.items()}

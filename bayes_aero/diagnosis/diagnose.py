@@ -441,7 +441,7 @@ def _fitted(state: SelectionState, measured: Float[np.ndarray, "n c"], channels:
     block, recorded = state.responses.block, (*state.responses.flights.recorded, "alpha_dot", "elapsed", "X")
     names = [name for name in recorded if name in channels and name not in RESPONSES]
     blocks = {name: np.asarray(block(jnp.asarray(channels[name]))) for name in names}
-    each = [np.asarray(block(jnp.asarray(x))) for x in residual.T]
+    each = [np.asarray(block(x)) for x in residual.T]
     over = tuple(tuple(profiles(x, blocks, state.variance_inflation)) for x in each)
     # Each coefficient's residuals: scores, Theil's parts, lag 1, and calibration of the fitted noise.
     standard = (state.left() / np.sqrt(state.best.variance))[state.inside]

@@ -64,7 +64,7 @@ def simulated(
     draws: Float[np.ndarray, "m k"] | None = None,
 ) -> list[result.SimulatedManoeuvre]:
     """Every segment of `flown` that counts, with these parameters; with `draws` the chance to stay inside."""
-    (shown, every), paths = output_error.one_by_one(flown, jnp.asarray(estimate), jnp.asarray(departure)), []
+    (shown, every), paths = output_error.one_by_one(flown, estimate, departure), []
     for row, trajectory in every.items():
         keep = flown.inside[row]
         measured, residual = np.asarray(trajectory.measured[0])[keep], np.asarray(trajectory.residual[0])[keep]
@@ -96,10 +96,10 @@ def _probabilities(
 ) -> dict[str, float]:
     """Share of draws whose whole trajectory, of one segment, stays inside each tolerance and the envelope."""
     # Draw by draw: a simulation of all of them together would have to be compiled, and takes half as long only.
-    still = jnp.zeros((1, len(alone.dynamics.start)))
+    still = np.zeros((1, len(alone.dynamics.start)))
 
     def largest(theta):
-        trajectory = output_error.trajectories(alone, jnp.asarray(theta), still)
+        trajectory = output_error.trajectories(alone, theta, still)
         inside = np.all(np.asarray(trajectory.trajectory.inside) | ~alone.inside)
         size = np.max(np.abs(np.asarray(trajectory.residual[0])), axis=0)
         return np.where(inside & np.isfinite(size), size, np.inf)
@@ -624,9 +624,9 @@ def fit_trajectories(
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
         paths = simulated(first, whole, result.START, result.START, np.zeros_like(fit.departure), tolerances)
         paths += simulated(fit.estimate, whole, result.FITTED, result.FITTED, fit.departure, tolerances)
-    wide, theta, initial = replace(fit.flown, outputs=shown), jnp.asarray(fit.estimate), {}
+    wide, theta, initial = replace(fit.flown, outputs=shown), fit.estimate, {}
     for row, away in enumerate(fit.departure):  # one by one as the paths, for which it is compiled already
-        begin = output_error.trajectories(wide.part([row]), theta, jnp.asarray(away[None])).begin
+        begin = output_error.trajectories(wide.part([row]), theta, away[None]).begin
         pairs = zip(map(float, np.asarray(begin)[0]), map(float, away), strict=True)
         initial[label(fit.flown, row)] = dict(zip(fit.flown.dynamics.start, pairs, strict=True))
     begins = zip(dynamics.start, map(float, output_error.initial_state_sd(dynamics)), strict=True)

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.dynamics.aircraft import ANGLES, LATERAL, MIN_LAG, FlightPath, Longitudinal, RigidBody, held_states
 from bayes_aero.dynamics.system import LinearSystem, System
 from bayes_aero.effect import MARKS, Stage
@@ -30,7 +32,7 @@ from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.units import si_unit
 
 Values = Mapping[str, Any]
-Channels = Mapping[str, Array]
+Channels = Mapping[str, AnyArray]
 OUTPUTS = ("airspeed", "alpha", "theta", "q", "altitude", "ax", "az")
 ON_REQUEST = ("p_dot", "q_dot", "r_dot")  # mostly differentiated rates, without information of their own
 MAX_SUBSTEPS = 8  # integration steps a sample
@@ -76,7 +78,7 @@ class Dynamics(ABC):
         """The system at these parameter values."""
 
     @abstractmethod
-    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, Array]:
+    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, AnyArray]:
         """Inputs of the simulation from the corrected channels, manoeuvres end to end."""
 
     @property
@@ -130,7 +132,7 @@ class Dynamics(ABC):
 
     def substeps(self, theta: Any, flights: Flights) -> int:
         """Integration steps a sample that follow the system's fast states, at most `MAX_SUBSTEPS`."""
-        return self.substeps_at(self.values(jnp.asarray(theta)), flights)
+        return self.substeps_at(self.values(np.asarray(theta)), flights)
 
     def substeps_at(self, values: Values, flights: Flights) -> int:
         """The same at these values, without compiled programs."""
@@ -147,10 +149,10 @@ def of_each(name: str, manoeuvres: int) -> list[str]:
     return [f"{name}_{k + 1}" for k in range(manoeuvres)]
 
 
-def along_each(values: Values, name: str, lengths: Sequence[int]) -> Array:
+def along_each(values: Values, name: str, lengths: Sequence[int]) -> AnyArray:
     """The values of such a parameter at every sample of manoeuvres of these lengths, (n,)."""
-    sizes = jnp.stack([values[n] for n in of_each(name, len(lengths))])
-    return sizes[np.repeat(np.arange(len(lengths)), lengths)]
+    sizes = [values[n] for n in of_each(name, len(lengths))]
+    return namespace(*sizes).stack(sizes)[np.repeat(np.arange(len(lengths)), lengths)]
 
 
 def biased_dynamics(dynamics: Dynamics, flights: Flights, priors: Mapping[str, Prior]) -> Dynamics:
@@ -278,7 +280,7 @@ class AircraftDynamics(EffectDynamics):
             return Longitudinal(self.model, dict(values), actual, self.altitude)
         return RigidBody(self.model, dict(values), actual, self.altitude, self.prescribed, self.heading, self.euler)
 
-    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, AnyArray]:  # noqa: ARG002
         """What effects read, held states with their rates, forces of axes without a model; without `ay` the rate of
         sideslip, which gives the lateral force."""
         held, read = (self.prescribed, ENGINES) if self.rigid else ((*LATERAL, "psi"), (*LATERAL, "thrust"))
@@ -399,7 +401,7 @@ class PathDynamics(EffectDynamics):
         rest = [e for e in self.model.effects if e not in inertial]
         return [Model.of(part, axes=tuple(Axis)) for part in (inertial, rest)]
 
-    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, AnyArray]:  # noqa: ARG002
         """Specific force at the centre of gravity, rates, and prescribed quantities of the path."""
         true = kinematics.as_symmetric(channels)
         arm = _at_centre(true, flights)
@@ -462,7 +464,7 @@ def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
         model = replace(model, parameters=tuple(stated_parameters.get(p.name, p) for p in model.parameters))
     of_sensors = tuple(p.name for name in OWN if name in chosen for p in CATALOGUE[name].parameters)
     if "psi" in states:
-        turned = flights.channels | {"psi": jnp.asarray(heading(flights))}
+        turned = flights.channels | {"psi": np.asarray(heading(flights))}
         flights = replace(flights, channels=turned)
     return flights, PathDynamics(model, states, of_sensors, lengths=flights.lengths)
 
@@ -529,12 +531,14 @@ class LinearDynamics(Dynamics):
         terms = [(i, t) for i, (_, row) in enumerate(self.rows.rows) for t in row]
         across = [columns.index(t.parameter if t.parameter in constants else t.channel) for _, t in terms]
         values = {**values, **dict.fromkeys(constants, 1.0)}
-        sizes = [jnp.asarray(t.factor * values[t.parameter], float) for _, t in terms]
-        places = jnp.array([i for i, _ in terms]), jnp.array(across)
-        matrix = jnp.zeros((len(self.rows.rows), len(columns))).at[places].add(jnp.stack(sizes))
+        sizes = [t.factor * values[t.parameter] for _, t in terms]
+        placed = np.zeros((len(terms), len(self.rows.rows), len(columns)))
+        placed[np.arange(len(terms)), [i for i, _ in terms], across] = 1.0
+        lib = namespace(*sizes)
+        matrix = jax.device_put(lib.tensordot(lib.stack(sizes), placed, 1))
         return LinearSystem(matrix, self.states, columns[len(self.states) : -1], self.rows.outputs)
 
-    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+    def drives(self, values: Values, channels: Channels, flights: Flights) -> dict[str, AnyArray]:  # noqa: ARG002
         """Recorded inputs, and a constant, which gives the number of samples where there are no inputs."""
         constants = {name: along_each(values, name, self.lengths) for name in self.rows.by_manoeuvre}
         return {name: channels[name] for name in self.inputs} | constants | {ONE: jnp.ones_like(channels["dt"])}

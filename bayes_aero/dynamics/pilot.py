@@ -197,7 +197,7 @@ _fly_several = compiled_at(0)(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0
 def through_gusts(
     system: System,
     start: Float[Array, " s"],
-    inputs: Mapping[str, Float[Array, " n"]],
+    inputs: Mapping[str, Float[Any, " n"]],
     dt: Any,
     white: Float[Array, "n s"],
     outputs: Sequence[str],

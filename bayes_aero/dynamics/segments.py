@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from bayes_aero.arrays import AnyArray
 from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.dynamics.system import LateOutputs, System, Trajectory, integrate
@@ -101,7 +102,7 @@ def segments(
     rows, dts = [], []
     for number, n in enumerate(flights.lengths):
         samples = np.flatnonzero(flights.manoeuvre == number)
-        dt = float(flights.channels["dt"][samples[0]])
+        dt = float(np.asarray(flights.channels["dt"])[samples[0]])
         cuts = cuts_of(n, dt, window)
         rows += np.split(samples, cuts[1:])
         dts += [dt] * len(cuts)
@@ -155,7 +156,7 @@ class Prepared(NamedTuple):
         return R * (self.scale * jnp.asarray(growth)) ** 2
 
 
-def _measured_start(flown: SegmentTrajectories, channels: Mapping[str, Array]) -> Float[Array, "w b"]:
+def _measured_start(flown: SegmentTrajectories, channels: Mapping[str, AnyArray]) -> Float[Array, "w b"]:
     """Values at the first sample of a straight line through the first half second; fixed ones as given; else zero."""
     count = 1 if flown.fixed is not None else flown.begin
     rows, given = flown.index[:, :count], dict(flown.fixed or ())
@@ -177,7 +178,7 @@ def prepare(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Prepared:
     values = dynamics.values(theta)
     channels = dynamics.corrected(values, flights.channels, flights.aircraft)
     system = dynamics.system(values, flights.aircraft)
-    drives = {name: x[flown.index] for name, x in dynamics.drives(values, channels, flights).items()}
+    drives = {name: jnp.asarray(x)[flown.index] for name, x in dynamics.drives(values, channels, flights).items()}
     begin = _measured_start(flown, channels)
     late = dynamics.delays(flown.outputs)
     sensed = LateOutputs(system, {name: values[p] for name, p in late.items()}) if late else system

@@ -87,7 +87,7 @@ class Trajectory(NamedTuple):
 def integrate(
     system: System,
     start: Float[Array, " s"],
-    inputs: Mapping[str, Float[Array, " n"]],
+    inputs: Mapping[str, Float[Any, " n"]],
     dt: Any,
     substeps: int = 1,
     outputs: Sequence[str] | None = None,

@@ -300,9 +300,8 @@ def modes(dynamics: Dynamics, values: Mapping[str, Any], aircraft: Aircraft, ste
     """Modes of motion about steady flight with fixed controls, longitudinal ones first, the faster ones first."""
     if isinstance(dynamics, LinearDynamics):
         system, states = dynamics.system(values, aircraft), dynamics.states
-        u = {name: jnp.zeros(()) for name in (*dynamics.inputs, *dynamics.rows.by_manoeuvre)}
-        A = jax.jacfwd(lambda x: system.motion(x, u)[0])(jnp.zeros(len(states)))
-        return named_modes(np.asarray(A), states, steady.airspeed)
+        A = np.asarray(system.matrix)[: len(states), : len(states)]
+        return named_modes(A, states, steady.airspeed)
     if not isinstance(dynamics, AircraftDynamics):
         raise InputError("a flight path of recorded accelerations has no modes of motion; fly a model of the aircraft")
     held = set(dynamics.held) - {"altitude", "psi"}

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.arrays import AnyArray
 from bayes_aero.dynamics.trim import conditions, steady_flow
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import noise_of
@@ -77,7 +78,7 @@ class Descent:
         breaks = [p.role is Role.BREAK_ANGLE for p in data.model.free]
         degenerate = not np.isfinite(self.point.cost)
         if any(breaks) and not degenerate:
-            X = np.asarray(evaluate(data, jnp.asarray(self.theta))[2])
+            X = np.asarray(evaluate(data, self.theta)[2])
             degenerate = bool(np.any(self.active & breaks) or np.ptp(X) < MIN_X_RANGE)
         return "degenerate" if degenerate else "converged" if self.converged else "not converged"
 
@@ -148,7 +149,7 @@ def _result(
     data: Data, observations: Observations, best: Descent, regular: bool, table: tuple[tuple[float, str], ...]
 ) -> MleResult:
     model, theta, R, A = data.model, best.theta, best.point.R, best.point.information
-    residual, S, X = map(np.asarray, evaluate(data, jnp.asarray(theta)))
+    residual, S, X = map(np.asarray, evaluate(data, theta))
     measured = np.asarray(observations.measured)
     inverse, eigenvalues = scaled_inverse(A)
     start = np.asarray(observations.start)
@@ -252,8 +253,8 @@ ANDERSON_MEMORY = 3  # steps that Anderson acceleration looks back on
 class Data(eqx.Module):
     """The observations of a fit with only the signals that the model reads, so that calls transfer little data."""
 
-    signals: dict[str, Array]
-    measured: Float[Array, "n c"]
+    signals: dict[str, AnyArray]
+    measured: Float[AnyArray, "n c"]
     aircraft: Aircraft
     model: Model = eqx.field(static=True)
 
@@ -262,7 +263,8 @@ def data_of(model: Model, observations: Observations) -> Data:
     """The model with its part of the observations."""
     read = {"alpha", "dt", "start", *model.channels}
     signals = {name: signal for name, signal in observations.signals.items() if name in read}
-    return Data(signals, observations.measured, observations.aircraft, model)
+    signals, measured = jax.device_put((signals, observations.measured))
+    return Data(signals, measured, observations.aircraft, model)
 
 
 class GaussNewtonPoint(NamedTuple):
@@ -292,7 +294,7 @@ def _sensitivities(data: Data, theta: Float[Array, " k"]):
 
 
 @eqx.filter_jit
-def evaluate(data: Data, theta: Float[Array, " k"]):
+def evaluate(data: Data, theta: Float[AnyArray, " k"]):
     """Residual (n, c), sensitivities (n, c, k) and separation point (n,); too large to transfer at every step."""
     residual, S, X = _sensitivities(data, theta)
     return jnp.stack(residual, axis=1), jnp.stack([s.T for s in S], axis=1), X
@@ -304,13 +306,13 @@ def full_steps(
     """At most `max_steps` full Gauss-Newton steps from `start`, while each lowers the cost and stays in the bounds."""
     # Their last steps shrink by a constant factor, which Anderson acceleration estimates (Walker and Ni 2011, SIAM J.
     # Numer. Anal. 49, 1715).
-    arguments = map(jnp.asarray, (start, lower, upper, tolerance, max_steps))  # none static: one compilation
+    arguments = map(np.asarray, (start, lower, upper, tolerance, max_steps))  # none static: one compilation
     theta, cost, *rest, steps = map(np.asarray, _full_steps(data, *arguments))
     return GaussNewtonPoint(theta, float(cost), *rest, int(steps))  # pyright: ignore[reportCallIssue]
 
 
 @eqx.filter_jit
-def _full_steps(data: Data, start: Array, lower: Array, upper: Array, tolerance: Array, max_steps: Array):
+def _full_steps(data: Data, start: Any, lower: Any, upper: Any, tolerance: Any, max_steps: Any):
     n, k = data.measured.shape[0], start.shape[0]
 
     def newton(point):

@@ -17,9 +17,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar
 
+from bayes_aero.arrays import AnyArray
 from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics, biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
@@ -82,7 +83,7 @@ class NormalPriors:
 
 
 @eqx.filter_jit
-def _inner_products(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]):
+def _inner_products(flown: SegmentTrajectories, theta: Float[AnyArray, " k"], departure: Float[AnyArray, "w s"]):
     """Gram matrices, samples inside the envelope, and columns; forward sensitivities, all directions at once."""
     k, s = theta.shape[0], departure.shape[1]
 
@@ -110,7 +111,7 @@ class NormalEquations:
         self.noise_growth = float(np.log(flown.noise_growth[flown.inside]).sum())
         self._rows = [np.minimum(np.arange(a, a + size), w - 1) for a in range(0, w, size)]  # the last may repeat
         self._parts = {
-            number: jax.tree.map(jnp.asarray, flown.nameless.part(rows))
+            number: jax.device_put(flown.nameless.part(rows))
             for number, rows in enumerate(self._rows)
             if flown.inside[rows].any()
         }
@@ -120,8 +121,8 @@ class NormalEquations:
         def products(number: int) -> tuple[np.ndarray, ...]:
             if number not in self._parts:
                 return ()
-            begin = jnp.asarray(departure[self._rows[number]])
-            return tuple(np.asarray(x) for x in _inner_products(self._parts[number], jnp.asarray(theta), begin))
+            begin = departure[self._rows[number]]
+            return tuple(np.asarray(x) for x in _inner_products(self._parts[number], theta, begin))
 
         every = range(len(self._rows))
         if len(self._parts) > 1 and self._compiled:
@@ -383,7 +384,7 @@ _simulate = compiled_at(0)(simulate)
 
 def trajectories(flown: SegmentTrajectories, theta: Any, departure: Any) -> Simulated:
     """`segments.simulate`, compiled, with parameters (k,) and corrections of the initial states (w, s)."""
-    return _simulate(flown.nameless, jnp.asarray(theta), jnp.asarray(departure))
+    return _simulate(flown.nameless, np.asarray(theta), np.asarray(departure))
 
 
 def one_by_one(flown: SegmentTrajectories, theta: Any, departure: Any) -> tuple[tuple[str, ...], dict[int, Simulated]]:

@@ -22,7 +22,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.documents import ConsistencyPart
 from bayes_aero.jobs.store import picked, provenance, writable, write_json
 from bayes_aero.model.model import Model, own_effects
-from bayes_aero.model.records import despiked_records, joined, on_recorded_axes, with_sums
+from bayes_aero.model.records import despiked_records, join, on_recorded_axes, with_sums
 from bayes_aero.physics.aircraft import needed_channels, required_of
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.progress import Progress
@@ -143,7 +143,7 @@ def check_records(
     not_testable: dict[str, str] = {}
     if whole and used.linear is None and "alpha" in available(sound, used):
         effects = tuple(own_effects(used.effect_files).values())
-        not_testable = dict(candidate_model(Model.from_card(used), joined(sound, used, ()), effects).not_testable)
+        not_testable = dict(candidate_model(Model.from_card(used), join(sound, used, ()), effects).not_testable)
     why = "not asked for" if not sensors else "" if whole else "a record is not usable"
     if not why and progress:
         progress("do the sensors agree?", 0.5)

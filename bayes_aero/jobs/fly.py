@@ -11,7 +11,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.diagnosis.consistency import in_gusts, no_flight_path
@@ -385,7 +384,7 @@ def corrected_records(records: Sequence[FlightRecord], flown: TrajectoryFit) -> 
     """The records without the errors that were found: flow angles and accelerations as at the true sensors."""
     fit = flown.fit
     flights, dynamics = fit.flown.flights, fit.flown.dynamics
-    true = dynamics.corrected(dynamics.values(jnp.asarray(fit.estimate)), flights.channels, flights.aircraft)
+    true = dynamics.corrected(dynamics.values(fit.estimate), flights.channels, flights.aircraft)
     corrected, begin = [], 0
     for record, length in zip(records, flights.lengths, strict=True):
         part = slice(begin, begin + length)

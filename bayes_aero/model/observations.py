@@ -13,16 +13,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
+from bayes_aero.arrays import AnyArray
 from bayes_aero.effect import MARKS, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.model.records import Flights, Forming, joined, plain_marks
-from bayes_aero.model.records import despiked as despiked  # for those that join
+from bayes_aero.model.records import Flights, Forming
+from bayes_aero.model.records import despiked as despiked  # for those that observe
+from bayes_aero.model.records import join as join
 from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
 from bayes_aero.physics.aircraft import NAMES, Aircraft, required_of
 from bayes_aero.physics.coefficients import alike_joined, condition_joined, stacked_coefficients
@@ -53,12 +55,9 @@ _register(Aircraft)
 _register(Flights, ("lengths", "names", "held"))
 
 
-# --- Recorded channels of several manoeuvres, end to end, as JAX arrays, for effects that act on the record.
-
-
 def response_scales(
-    model: Model, values: Mapping[str, Any], channels: Mapping[str, Array], aircraft: Aircraft, names: Sequence[str]
-) -> dict[str, Array]:
+    model: Model, values: Mapping[str, Any], channels: Mapping[str, AnyArray], aircraft: Aircraft, names: Sequence[str]
+) -> dict[str, AnyArray]:
     """Derivative of each corrected channel of `names` with respect to the recorded channel."""
     # One channel at a time: the influence of other channels (pitch rate on the vane's angle) does not count. Only the
     # effects that correct a channel are traced again for it.
@@ -78,12 +77,6 @@ def response_scales(
     return {name: jax.jvp(partial(corrected, name), (x,), (jnp.ones_like(x),))[1] for name, x in series_by_name.items()}
 
 
-def join(records: Sequence[FlightRecord], card: Card, *required: Any) -> Flights:
-    """`joined`, for compiled programs."""
-    flights = joined(records, card, *required)
-    return replace(flights, channels={name: jnp.asarray(x) for name, x in flights.channels.items()})
-
-
 # --- What a model is fitted to: conditioned signals and measured coefficients of one or more manoeuvres.
 
 STEADY = ', or state it under [constants] (p = "0 deg/s", r = "0 deg/s") if the wings were level throughout'
@@ -92,10 +85,10 @@ STEADY = ', or state it under [constants] (p = "0 deg/s", r = "0 deg/s") if the 
 class Observations(eqx.Module):
     """Samples of all manoeuvres laid end to end."""
 
-    signals: dict[str, Array]
-    measured: Float[Array, "n c"]  # the named `coefficients`
+    signals: dict[str, AnyArray]
+    measured: Float[AnyArray, "n c"]  # the named `coefficients`
     # Manoeuvres are independent: filtered one by one, lags and coloured noise start again where `start` is true.
-    start: Bool[Array, " n"]
+    start: Bool[AnyArray, " n"]
     manoeuvre: Int[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]
     aircraft: Aircraft
@@ -122,17 +115,16 @@ class Observations(eqx.Module):
         begins = np.asarray(self.start)[index] | np.concatenate([[True], np.diff(index) > 1])
         return replace(
             self,
-            signals={k: v[index] for k, v in self.signals.items()} | {"start": jnp.asarray(begins)},
+            signals={k: v[index] for k, v in self.signals.items()} | {"start": begins},
             measured=self.measured[index],
-            start=jnp.asarray(begins),
+            start=begins,
             manoeuvre=self.manoeuvre[index],
             time=self.time[index],
         )
 
     def restarted(self, start: Bool[np.ndarray, " n"]) -> Observations:
         """The same samples with other marks of where lags and coloured noise start again."""
-        flags = jnp.asarray(start)
-        return eqx.tree_at(lambda o: (o.start, o.signals["start"]), self, (flags, flags))
+        return eqx.tree_at(lambda o: (o.start, o.signals["start"]), self, (start, start))
 
     def thinned(self, step: int = FILTER_STEP) -> Observations:
         """Every `step`-th sample of each stretch, as a record of that lower rate (`dt` grows accordingly)."""
@@ -145,13 +137,8 @@ class Observations(eqx.Module):
     def only(self, manoeuvre: int) -> Observations:
         return self.subset(np.flatnonzero(self.manoeuvre == manoeuvre))
 
-    def with_measured(self, measured: Float[Array, "n c"]) -> Observations:
-        return eqx.tree_at(lambda o: o.measured, self, jnp.asarray(measured))
-
-
-def marks(n: int, dt: float, first: int = 0) -> dict[str, Array]:
-    """Marks for effects of stage CHANNEL of one manoeuvre of `n` samples, the first at index `first`."""
-    return {name: jnp.asarray(values) for name, values in plain_marks(n, dt, first).items()}
+    def with_measured(self, measured: Float[AnyArray, "n c"]) -> Observations:
+        return eqx.tree_at(lambda o: o.measured, self, measured)
 
 
 def observe(
@@ -179,7 +166,7 @@ def observe(
     flights = join(records, card, [need for need in required if need != "alpha_dot"], remedy)
     recorded = {key: flights.channels[key] for key in flights.recorded}
     marks_by_name = {key: flights.channels[key] for key in MARKS}
-    signals, measured = _formed(model, forming, values, recorded, marks_by_name, aircraft)
+    signals, measured = jax.device_get(_formed(model, forming, values, recorded, marks_by_name, aircraft))
     return Observations(
         signals=dict(sorted((signals | {key: marks_by_name[key] for key in ("dt", "start")}).items())),
         measured=measured,
@@ -197,12 +184,12 @@ def _formed(
     model: Model,
     forming: Forming,
     values: Mapping[str, Any],
-    joined: Mapping[str, Array],
-    marks_by_name: Mapping[str, Array],
+    recorded: Mapping[str, AnyArray],
+    marks_by_name: Mapping[str, AnyArray],
     aircraft: Aircraft,
-) -> tuple[dict[str, Array], Float[Array, "n c"]]:
-    true = model.corrected(values, {**joined, **marks_by_name}, aircraft)
-    channels, ends = {key: true[key] for key in joined}, [marks_by_name[key] for key in ("dt", "first", "last")]
+) -> tuple[dict[str, AnyArray], Float[AnyArray, "n c"]]:
+    true = model.corrected(values, {**recorded, **marks_by_name}, aircraft)
+    channels, ends = {key: true[key] for key in recorded}, [marks_by_name[key] for key in ("dt", "first", "last")]
     if forming is Forming.MATCHED:
         signals = alike_joined(channels, aircraft.accelerometer, *ends)
     else:
@@ -222,7 +209,7 @@ class Colour(StrEnum):
 
 
 DEFAULT = Colour.BUFFET_AR1  # near the stall a steep model also amplifies the noise of the vane
-Series = Float[Array, " n"]
+Series = Float[AnyArray, " n"]
 
 
 @dataclass(frozen=True)
@@ -249,7 +236,7 @@ class Noise:
         )
 
     def innovation(
-        self, name: str, values: Mapping[str, Any], residual: Series, X: Series, start: Bool[Array, " n"]
+        self, name: str, values: Mapping[str, Any], residual: Series, X: Series, start: Bool[AnyArray, " n"]
     ) -> tuple[Series, Series]:
         """Innovations of one coefficient over their standard deviation, and the logarithm of the latter."""
         # `residual` is measured minus modelled. At `start` the innovation is the residual itself with the stationary
@@ -262,8 +249,8 @@ class Noise:
         return (residual - before) / sd, jnp.log(sd) + jnp.log(growth)
 
     def simulate(
-        self, values: Mapping[str, Any], white: Float[Array, "n c"], X: Series, start: Bool[Array, " n"]
-    ) -> Float[Array, "n c"]:
+        self, values: Mapping[str, Any], white: Float[AnyArray, "n c"], X: Series, start: Bool[AnyArray, " n"]
+    ) -> Float[AnyArray, "n c"]:
         """Residuals of all coefficients from standard normal numbers: the inverse of `innovation`."""
         each = [[values.get(f"{kind}_{n}", 0.0) for n in self.coefficients] for kind in ("sigma", "rho", "buffet")]
         (sigma, rho, buffet), first = (jnp.stack(list(map(jnp.asarray, row))) for row in each), start[:, None]
@@ -289,7 +276,7 @@ class LogDensity(eqx.Module):
         """The assumed noise, in a word."""
 
     @abstractmethod
-    def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
+    def log_likelihood(self, x: Float[AnyArray, " k"]) -> Float[AnyArray, ""]:
         """Log-density of the data at `x`."""
 
     @property
@@ -300,19 +287,19 @@ class LogDensity(eqx.Module):
     def size(self) -> int:
         return len(self.parameters)
 
-    def log_prior(self, x: Float[Array, " k"]) -> Float[Array, ""]:
+    def log_prior(self, x: Float[AnyArray, " k"]) -> Float[AnyArray, ""]:
         """Log of the product of the parameters' priors. Truncation by bounds is not normalised: a constant."""
         return sum((p.prior.log_density(x[i]) for i, p in enumerate(self.parameters)), start=jnp.zeros(()))
 
-    def __call__(self, u: Float[Array, " k"]) -> Float[Array, ""]:
+    def __call__(self, u: Float[AnyArray, " k"]) -> Float[AnyArray, ""]:
         """Log-density of `u`: likelihood, prior, and the Jacobian of the map from `u` to `x`."""
         x, log_slope = self._bounded(u)
         return self.log_likelihood(x) + self.log_prior(x) + jnp.sum(log_slope)
 
-    def constrain(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
+    def constrain(self, u: Float[AnyArray, " k"]) -> Float[AnyArray, " k"]:
         return self._bounded(u)[0]
 
-    def unconstrain(self, x: Float[Array, " k"]) -> Float[Array, " k"]:
+    def unconstrain(self, x: Float[AnyArray, " k"]) -> Float[AnyArray, " k"]:
         return jnp.stack([to_unbounded(p, x[i]) for i, p in enumerate(self.parameters)])
 
     def sample_prior(self, rng: np.random.Generator, size: int) -> Float[np.ndarray, "size k"]:
@@ -325,7 +312,7 @@ class LogDensity(eqx.Module):
             columns.append(draws[:size])
         return np.stack(columns, axis=1)
 
-    def _bounded(self, u: Float[Array, " k"]) -> tuple[Float[Array, " k"], Float[Array, " k"]]:
+    def _bounded(self, u: Float[AnyArray, " k"]) -> tuple[Float[AnyArray, " k"], Float[AnyArray, " k"]]:
         pairs = [from_unbounded(p, u[i]) for i, p in enumerate(self.parameters)]
         return jnp.stack([x for x, _ in pairs]), jnp.stack([slope for _, slope in pairs])
 
@@ -338,7 +325,7 @@ class Density(LogDensity):
     observations: Observations = eqx.field(converter=lambda given: given.nameless)
     model: Model = eqx.field(static=True)
     noise: Noise = eqx.field(static=True)
-    bias: Float[Array, " p"] | None = None  # of the free model parameters: coefficients follow x + bias
+    bias: Float[AnyArray, " p"] | None = None  # of the free model parameters: coefficients follow x + bias
 
     @classmethod
     def of(
@@ -349,9 +336,8 @@ class Density(LogDensity):
         # that no short autoregression describes. With every sample the autoregression would fit the smoothness, and the
         # likelihood would weigh only changes from sample to sample, in which filtered and unfiltered signals differ.
         # One sample in `FILTER_STEP` keeps the band that the filter passes, in which the coloured model holds.
-        bias_of = None if bias is None else jnp.asarray(bias)
         noise_of = replace(noise, coefficients=observations.coefficients)
-        return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, noise_of, bias_of)
+        return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, noise_of, bias)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -361,42 +347,42 @@ class Density(LogDensity):
     def noise_label(self) -> str:
         return self.noise.colour.value
 
-    def values(self, x: Float[Array, " k"]) -> dict[str, Any]:
+    def values(self, x: Float[AnyArray, " k"]) -> dict[str, Any]:
         """Values of all parameters, fixed ones too, by name, with the bias that recording noise gives them."""
         if self.bias is not None:
             k = len(self.bias)
             x = jnp.concatenate([x[:k] + self.bias, x[k:]])
         return dict(self.model.fixed) | {name: x[i] for i, name in enumerate(self.names)}
 
-    def predict(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
+    def predict(self, x: Float[AnyArray, " k"]) -> Float[AnyArray, "n c"]:
         return self._stacked(self._flow(x))
 
-    def pointwise(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
+    def pointwise(self, x: Float[AnyArray, " k"]) -> Float[AnyArray, "n c"]:
         """Log-likelihood of every sample and coefficient, given the samples before it in its manoeuvre."""
         return jnp.stack([density for _, density in self._innovations(x)], axis=-1)
 
-    def standardised(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
+    def standardised(self, x: Float[AnyArray, " k"]) -> Float[AnyArray, "n c"]:
         """One-step-ahead innovations over their standard deviation: white, unit variance if the model holds."""
         return jnp.stack([z for z, _ in self._innovations(x)], axis=-1)
 
-    def replicate(self, x: Float[Array, " k"], white: Float[Array, "n c"]) -> Float[Array, "n c"]:
+    def replicate(self, x: Float[AnyArray, " k"], white: Float[AnyArray, "n c"]) -> Float[AnyArray, "n c"]:
         """Coefficients that the model with its noise would have produced from standard normal `white`."""
         flow = self._flow(x)
         return self._stacked(flow) + self.noise.simulate(self.values(x), white, flow["X"], self.observations.start)
 
-    def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
+    def log_likelihood(self, x: Float[AnyArray, " k"]) -> Float[AnyArray, ""]:
         """Sum of `pointwise`, taken before the coefficients are put side by side: almost twice as fast."""
         return sum((jnp.sum(density) for _, density in self._innovations(x)), start=jnp.zeros(()))
 
-    def _innovations(self, x: Float[Array, " k"]) -> list[tuple[Series, Series]]:
+    def _innovations(self, x: Float[AnyArray, " k"]) -> list[tuple[Series, Series]]:
         """By coefficient: standardised innovations, and their log-densities."""
         o, flow, values = self.observations, self._flow(x), self.values(x)
         residuals = {name: o.measured[:, c] - flow[name] for c, name in enumerate(self.model.coefficients)}
         every = [self.noise.innovation(name, values, r, flow["X"], o.start) for name, r in residuals.items()]
         return [(z, -0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - log_sd) for z, log_sd in every]
 
-    def _flow(self, x: Float[Array, " k"]) -> Mapping[str, Array]:
+    def _flow(self, x: Float[AnyArray, " k"]) -> Mapping[str, AnyArray]:
         return self.model.flow(self.values(x), self.observations.signals, self.observations.aircraft)
 
-    def _stacked(self, flow: Mapping[str, Array]) -> Float[Array, "n c"]:
+    def _stacked(self, flow: Mapping[str, AnyArray]) -> Float[AnyArray, "n c"]:
         return jnp.stack([flow[name] for name in self.model.coefficients], axis=-1)

@@ -72,8 +72,7 @@ OFF_PAGE = 24  # samples
 class Flights:
     """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`)."""
 
-    # Of NumPy's arrays, or of JAX's for compiled programs (`observations.join`). `held`: states that a simulation takes
-    # from the record, by the card.
+    # `held`: states that a simulation takes from the record, by the card.
     channels: dict[str, Any]
     aircraft: Aircraft
     manoeuvre: Int[np.ndarray, " n"]
@@ -103,7 +102,7 @@ class Flights:
         return lift_regression(self.channels, self.aircraft.accelerometer, dt, first, last)
 
     def with_slopes(self, channels: Mapping[str, AnyArray], regression: Any = None) -> dict[str, Any]:
-        """Channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre; JAX's arrays alone."""
+        """Channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre."""
         from bayes_aero.physics.coefficients import unsmoothed_joined
 
         dt, first, last = (self.channels[name] for name in ("dt", "first", "last"))
@@ -118,21 +117,20 @@ class Flights:
         n = self.n
         step = 1 << max(n.bit_length() - 4, 0)
         more = -n % step + OFF_PAGE
-        recorded = replace(self, channels={name: np.asarray(x) for name, x in self.channels.items()})
 
         def longer(x: np.ndarray) -> np.ndarray:
             return np.concatenate([x, np.repeat(x[-1:], more)])
 
-        channels = {name: longer(x) for name, x in recorded.channels.items()}
+        channels = {name: longer(x) for name, x in self.channels.items()}
         channels["start"][n : n + 1] = True
         channels["first"][n:], channels["last"][n:] = n, n + more - 1
-        regression = recorded.regression()
+        regression = self.regression()
         regression = regression._replace(before=np.concatenate([regression.before, np.zeros(more)]))
         manoeuvre, time = longer(self.manoeuvre), longer(self.time)
         return Flights(channels, self.aircraft, manoeuvre, time, (n + more,), (), self.held), regression
 
 
-def joined(
+def join(
     records: Sequence[FlightRecord],
     card: Card,
     required: Sequence[str] = REQUIRED,
@@ -193,7 +191,7 @@ def own_mach(record: FlightRecord) -> bool:
     return varies > MACH_VARIES or (measured and abs(float(np.median(ratio))) > MACH_OFF)
 
 
-def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
+def plain_marks(n: int, dt: float, first: int = 0) -> dict[str, Shaped[np.ndarray, " n"]]:
     """Marks of one manoeuvre of `n` samples without a record: its Mach number follows the airspeed."""
     index = np.arange(n)
     return {

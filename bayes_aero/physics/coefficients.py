@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from bayes_aero.arrays import AnyArray, Samples, namespace, xp
 from bayes_aero.physics.aircraft import NAMES, Aircraft, Axis
@@ -33,14 +33,14 @@ from bayes_aero.physics.kinematics import (
 
 SMOOTHED = ("alpha", "beta", "airspeed")
 
-Signals = dict[str, Float[Array, "*#n"]]
+Signals = dict[str, Float[AnyArray, "*#n"]]
 Series = Float[AnyArray, " n"]
 Index = Int[AnyArray, " n"]
 
 
 def condition_joined(channels: Mapping[str, Series], dt: Series, first: Index, last: Index) -> Signals:
     """Signals smoothed and differentiated as published; manoeuvres end to end, `first` and `last` their ends."""
-    signals = {name: jnp.asarray(values) for name, values in channels.items()}
+    signals = dict(channels)
     names = [name for name in SMOOTHED if name in signals]
     # One filter over all channels stacked compiles several times faster than one filter each.
     rows = _each(lambda x: smooth_joined(x, first, last), [signals[name] for name in (*names, *RATES)])
@@ -49,13 +49,13 @@ def condition_joined(channels: Mapping[str, Series], dt: Series, first: Index, l
 
 
 def unsmoothed_joined(
-    channels: Mapping[str, Array],
+    channels: Mapping[str, AnyArray],
     accelerometer: tuple[Any, Any, Any],
     dt: Series,
     first: Index,
     last: Index,
     regression: LiftRegression | None = None,
-) -> dict[str, Array]:
+) -> dict[str, AnyArray]:
     """Unsmoothed channels and the derivatives of `condition_joined`."""
     # The difference of measured and modelled coefficients is smoothed later: the filter acts on both sides alike, also
     # on non-linear terms, where the published method underestimates fast effects. alpha-dot is formed by `alpha_rate`,
@@ -66,23 +66,23 @@ def unsmoothed_joined(
 
 
 def alike_joined(
-    channels: Mapping[str, Array], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
+    channels: Mapping[str, AnyArray], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
 ) -> Signals:
     """Every channel smoothed by the one filter, with these derivatives."""
     # The filter is linear: a coefficient that is a sum of terms is, once filtered, the sum of its filtered terms.
     raw = unsmoothed_joined(channels, accelerometer, dt, first, last)
     names = [*channels, "alpha_dot"]
-    smoothed = _each(lambda x: smooth_joined(x, first, last), [jnp.asarray(raw[n], float) for n in names])
+    smoothed = _each(lambda x: smooth_joined(x, first, last), [raw[n] for n in names])
     signals = dict(zip(names, smoothed, strict=True))
     return signals | _slopes(RATES, [signals[n] for n in RATES], dt, first, last)
 
 
-def _slopes(names: Sequence[str], rows: Sequence[Array], dt: Series, first: Index, last: Index) -> Signals:
-    slopes = _each(lambda x: differentiate_joined(x, dt, first, last), [jnp.asarray(row) for row in rows])
+def _slopes(names: Sequence[str], rows: Sequence[AnyArray], dt: Series, first: Index, last: Index) -> Signals:
+    slopes = _each(lambda x: differentiate_joined(x, dt, first, last), rows)
     return {f"{name}_dot": x for name, x in zip(names, slopes, strict=True)}
 
 
-def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> dict[str, Float[Array, "*n"]]:
+def coefficients(signals: Mapping[str, Float[AnyArray, "*n"]], aircraft: Aircraft) -> dict[str, Float[AnyArray, "*n"]]:
     """Coefficients from conditioned signals, sample by sample; the lateral ones only with `ay`."""
     # CL and CD are in stability axes, CY along body y, moments about body axes through the aerodynamic reference point.
     # `thrust` (total, net, N) at `aircraft.engine` is taken out, with the moments of `thrust_left` and `thrust_right`.
@@ -106,8 +106,8 @@ def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) 
 
 
 def stacked_coefficients(
-    signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft, names: Sequence[str] = NAMES
-) -> Float[Array, "*n c"]:
+    signals: Mapping[str, Float[AnyArray, "*n"]], aircraft: Aircraft, names: Sequence[str] = NAMES
+) -> Float[AnyArray, "*n c"]:
     """`coefficients` of these names, along the last axis."""
     formed = coefficients(signals, aircraft)
     return jnp.stack([formed[name] for name in names], axis=-1)
@@ -343,7 +343,7 @@ def accelerometers(now: AircraftMotion, path: Mapping[str, Any], aircraft: Aircr
     return {name: f + x for name, f, x in zip(("ax", "ay", "az"), now.force, arm, strict=True)}
 
 
-def alpha_dot(rate_of: Callable[[Any], Any]) -> Float[Array, ""]:
+def alpha_dot(rate_of: Callable[[Any], Any]) -> Float[AnyArray, ""]:
     """Solve rate = rate_of(rate), because lift depends on alpha-dot through the separation point."""
     # Usually the right side decreases with alpha-dot, and the root is between zero and rate_of(0). Where it increases
     # the root is beyond, and for a larger slope the motion is not unique: NaN. A fixed-point iteration would not

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.special import expit
 
 from bayes_aero.arrays import AnyArray, Samples, namespace, xp
 from bayes_aero.physics.aircraft import Aircraft
@@ -58,7 +59,7 @@ def smooth_joined(x: Series, first: Index, last: Index) -> Series:
     """Fifteen-point Spencer filter, n >= 20; five points in samples 4 to 7 from an end; the outer three stay."""
     # Manoeuvres are laid end to end, `first` and `last` the ends of that of each sample. One program for any number of
     # any lengths: cut into pieces, every new length would be compiled.
-    xp, inside = namespace(x), inside_joined(x.shape[0], first, last)
+    xp, inside = namespace(x, first, last), inside_joined(x.shape[0], first, last)
     wide, short = (xp.convolve(x, xp.asarray(kernel), mode="same") for kernel in (SPENCER, SHORT_SMOOTHER))
     return xp.where(inside >= 7, wide, xp.where(inside >= 3, short, x))
 
@@ -75,7 +76,7 @@ def differentiate_joined(
     x: Float[AnyArray, "*r n"], dt: float | Float[AnyArray, ""] | Series, first: Index, last: Index
 ) -> Float[AnyArray, "*r n"]:
     """`differentiate` of manoeuvres laid end to end, each at least 20 samples long; rows are different records."""
-    xp, n = namespace(x, dt), x.shape[-1]
+    xp, n = namespace(x, dt, first, last), x.shape[-1]
     rows = [(0, 0)] * (x.ndim - 1)
     inner, near = (_central(xp.pad(x, [*rows, (len(w), len(w))]), w) for w in (EIGHTH_ORDER, FOURTH_ORDER))
     slope = xp.where(inside_joined(n, first, last) >= 8, inner, near)
@@ -109,6 +110,7 @@ def advance(x: Series, seconds: Float[AnyArray, ""], dt: Series, first: Index, l
     """x(t + seconds), by cubic convolution between samples, constant beyond the manoeuvre's `first` and `last` sample.
     Third-order accurate and differentiable in `seconds`; source: Keys, IEEE Trans. ASSP 29 (1981) 1153, a = -1/2."""
     xp = namespace(x, seconds, dt)
+    x = xp.asarray(x)
     place = xp.arange(x.shape[0]) + seconds / dt
     base = xp.floor(place).astype(int)  # a whole number has no derivative
     u = place - base
@@ -128,9 +130,12 @@ Scalar = Float[AnyArray, ""]
 def separation_point(a1: Scalar, alpha: Samples, alpha_star: Scalar) -> Samples:
     """Static X = (1 - tanh(a1 (alpha - alpha_star)))/2, with alpha in rad and a1 in 1/rad. Written as a logistic so
     that X and its root keep finite derivatives when the flow is fully separated."""
+    depth = -2.0 * a1 * (alpha - alpha_star)
+    if namespace(depth) is np:
+        return expit(depth)
     import jax
 
-    return jax.nn.sigmoid(-2.0 * a1 * (alpha - alpha_star))
+    return jax.nn.sigmoid(depth)
 
 
 def root(X: Samples) -> Samples:
@@ -155,16 +160,14 @@ def lagged(
     """Solve tau dX/dt + X = X_static over manoeuvres laid end to end; the state restarts where `start` is true. `tau`
     and `dt` (time since the previous sample) in s. Exact for an input linear between samples and tau constant over a
     step; tau = 0 gives X_static exactly, with the correct derivative there: dX/dtau = -dX_static/dt."""
-    import jax.numpy as jnp
-
     ratio = tau / dt
-    safe = jnp.where(ratio > 1e-3, ratio, 1.0)
-    decay = jnp.where(ratio > 1e-3, jnp.exp(-1.0 / safe), 0.0)
+    safe = xp.where(ratio > 1e-3, ratio, 1.0)
+    decay = xp.where(ratio > 1e-3, xp.exp(-1.0 / safe), 0.0)
     new = 1.0 - ratio * (1.0 - decay)
     old = 1.0 - decay - new
-    previous = jnp.concatenate([X_static[:1], X_static[:-1]])
-    drive = jnp.where(start, X_static, new * X_static + old * previous)
-    keep = jnp.where(start, 0.0, decay)
+    previous = namespace(X_static).concatenate([X_static[:1], X_static[:-1]])
+    drive = xp.where(start, X_static, new * X_static + old * previous)
+    keep = xp.where(start, 0.0, decay)
 
     return recurrence(keep, drive)
 

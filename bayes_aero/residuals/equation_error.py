@@ -75,7 +75,7 @@ class EquationError(base.Blockwise, eqx.Module):
         n, m = self.flights.n, len(self.manoeuvre)
         return np.asarray(residual)[:m], {name: np.asarray(x)[:n] for name, x in details.items()}
 
-    def traced(self, theta: base.Theta) -> tuple[base.Residual, dict[str, Array]]:
+    def traced(self, theta: base.Theta) -> tuple[base.Residual, dict[str, AnyArray]]:
         """`evaluate` as part of a larger compiled program."""
         return _residuals(_Padded(self, self.flights.regression(), None), theta)
 
@@ -103,7 +103,7 @@ class EquationError(base.Blockwise, eqx.Module):
         directions = np.zeros((2, -(-k // DIRECTIONS_AT_ONCE) * DIRECTIONS_AT_ONCE, k))
         for kind, places in enumerate(sets):
             directions[kind, np.arange(len(places)), indices[places]] = 1.0
-        residual, *slopes = map(np.asarray, _linearise(self._padded, jnp.asarray(theta), *map(jnp.asarray, directions)))
+        residual, *slopes = map(np.asarray, _linearise(self._padded, np.asarray(theta), *directions))
         S = np.zeros((m, residual.shape[1], len(indices)))
         for places, slope in zip(sets, slopes, strict=True):
             S[:, : slope.shape[2], places] = np.moveaxis(slope[: len(places), :m], 0, 2)
@@ -144,7 +144,7 @@ def _corrected(padded: _Padded, values: Mapping[str, Any]):
     return s, aircraft, scales, jnp.stack([factors[name] for name in model.coefficients], axis=-1)
 
 
-def _modelled(model: Model, values: Mapping[str, Any], s: Mapping[str, Any], aircraft: Any) -> tuple[Array, Array]:
+def _modelled(model: Model, values: Mapping[str, Any], s: Mapping[str, Any], aircraft: Any) -> tuple[AnyArray, Array]:
     """Coefficients (n, c) of the model, and the separation point (n,)."""
     flow = model.flow(values, s, aircraft)
     return jnp.stack([flow[name] for name in model.coefficients], axis=-1), flow["X"]
@@ -170,7 +170,7 @@ class _AddedToEquations:
         return series, slopes, np.sqrt(np.mean(series**2, axis=1))
 
 
-def _smoothed(flights: Flights, rows: Float[Array, "n c"]) -> Float[Array, "n c"]:
+def _smoothed(flights: Flights, rows: Float[AnyArray, "n c"]) -> Float[AnyArray, "n c"]:
     ends = flights.channels["first"], flights.channels["last"]
     return jax.vmap(lambda x: smooth_joined(x, *ends), in_axes=1, out_axes=1)(rows)
 
@@ -275,7 +275,7 @@ class InBand(base.ResidualModel):
     def seconds(self) -> float:
         return float(np.sum(np.asarray(self.flights.channels["dt"]))) / len(self.manoeuvre)
 
-    def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
+    def block(self, x: Float[AnyArray, "n ..."]) -> Float[AnyArray, "m ..."]:
         ends = np.cumsum(self.flights.lengths)[:-1]
         parts = zip(self.rows, jnp.split(x, ends), strict=True)
         return jnp.concatenate([jnp.tensordot(rows, part[: rows.shape[1]], axes=1) for rows, part in parts])
@@ -353,14 +353,14 @@ class LinearFrequencyError(InBand, eqx.Module):
         """Derivatives of the states, then further outputs."""
         return (*(f"d{name}/dt" for name in self.states), *self.further)
 
-    def evaluate(self, theta: base.Theta) -> tuple[base.Residual, Mapping[str, Array]]:
-        return _residual(self.nameless, jnp.asarray(theta)), {}
+    def evaluate(self, theta: base.Theta) -> tuple[base.Residual, Mapping[str, AnyArray]]:
+        return _residual(self.nameless, np.asarray(theta)), {}
 
     def slopes(self, theta: base.Theta, directions: base.Directions) -> tuple[base.Residual, base.Slopes]:
-        residual, slope = _slopes(self.nameless, jnp.asarray(theta), jnp.asarray(directions))
+        residual, slope = _slopes(self.nameless, np.asarray(theta), directions)
         return np.asarray(residual), -np.asarray(slope)
 
-    def system_and_inputs(self, theta: base.Theta) -> tuple[LinearSystem, dict[str, Array]]:
+    def system_and_inputs(self, theta: base.Theta) -> tuple[LinearSystem, dict[str, AnyArray]]:
         """The system at these parameters, and its recorded inputs."""
         values = self.dynamics.values(theta)
         system: Any = self.dynamics.system(values, self.flights.aircraft)
@@ -409,7 +409,7 @@ class LinearFrequencyOutputError(LinearFrequencyError):
     def offsets(self, theta: base.Theta, outputs: Sequence[str]) -> base.Offsets:
         """Sensitivities to the change of each state over a manoeuvre, and to a drift of each output."""
         keep = [self.outputs.index(name) for name in outputs]
-        by_change = -np.asarray(_changes(self.nameless, jnp.asarray(theta)))[:, keep]  # m c w s
+        by_change = -np.asarray(_changes(self.nameless, np.asarray(theta)))[:, keep]  # m c w s
         drift = np.concatenate([rows @ np.linspace(-1.0, 1.0, rows.shape[1]) for rows in self.rows])
         own = self.manoeuvre[:, None] == np.arange(len(self.rows))
         drifts = np.einsum("m,mw,cd->mcwd", drift, own, np.eye(len(keep)))

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import LinearOperator, lsmr
 
+from bayes_aero.arrays import AnyArray
 from bayes_aero.dynamics import trim as steady
 from bayes_aero.dynamics.pilot import FlightState, Pilot, fly, standard_pilots
 from bayes_aero.effect import Effect, Kind, Stage
@@ -330,10 +331,10 @@ def _piloted(
 
 
 def _air_data(flight: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    density, sound = (np.asarray(x) for x in air(jnp.asarray(flight["altitude"])))
+    density, sound = (np.asarray(x) for x in air(flight["altitude"]))
     temperature = sound**2 / (GAMMA * GAS)
     pressure = density * GAS * temperature
-    sea_density, sea_sound = (float(x) for x in air(jnp.asarray(0.0)))
+    sea_density, sea_sound = (float(x) for x in air(np.zeros(())))
     impact = pressure * ((1.0 + 0.2 * flight["mach"] ** 2) ** 3.5 - 1.0)
     sea_pressure = sea_density * sea_sound**2 / GAMMA
     calibrated = sea_sound * np.sqrt(5.0 * ((impact / sea_pressure + 1.0) ** (2.0 / 7.0) - 1.0))
@@ -372,27 +373,27 @@ class _Correction(eqx.Module):
     values: dict[str, Any]
     marks: dict[str, Any]
     aircraft: Aircraft
-    scale: Float[Array, " k"]
+    scale: Float[AnyArray, " k"]
 
     @classmethod
     def of(
         cls, model: Model, values: Values, channels: Channels, marks: Values, aircraft: Aircraft
-    ) -> tuple[_Correction, Float[Array, "k n"]]:
+    ) -> tuple[_Correction, Float[np.ndarray, "k n"]]:
         """The correction, and the channels as its matrix."""
         x = np.stack(list(channels.values()))
         scale = np.maximum(np.max(np.abs(x), axis=1), 1e-3)
-        numbers = {name: jnp.asarray(value, float) for name, value in values.items()}  # a Python number would be static
-        correction = cls(model, tuple(channels), numbers, dict(marks), aircraft, jnp.asarray(scale))
-        return correction, jnp.asarray(x / scale[:, None])
+        numbers = {name: np.asarray(value, float) for name, value in values.items()}  # a Python number would be static
+        correction = cls(model, tuple(channels), numbers, dict(marks), aircraft, scale)
+        return correction, x / scale[:, None]
 
     @eqx.filter_jit
-    def __call__(self, x: Float[Array, "k n"]) -> Float[Array, "k n"]:
+    def __call__(self, x: Float[AnyArray, "k n"]) -> Float[Array, "k n"]:
         channels = dict(zip(self.names, x * self.scale[:, None], strict=True))
         true = self.model.corrected(self.values, channels | self.marks, self.aircraft)
         return jnp.stack([true[name] for name in self.names]) / self.scale[:, None]
 
-    def derivative(self, x: Float[Array, "k n"]) -> LinearOperator:
-        on = lambda product: lambda v: np.asarray(product(self, x, jnp.asarray(v.reshape(x.shape)))).ravel()  # noqa: E731
+    def derivative(self, x: Float[AnyArray, "k n"]) -> LinearOperator:
+        on = lambda product: lambda v: np.asarray(product(self, x, v.reshape(x.shape))).ravel()  # noqa: E731
         return LinearOperator((x.size,) * 2, matvec=on(_forward), rmatvec=on(_backward), dtype=np.float64)  # pyright: ignore[reportCallIssue]
 
 
@@ -404,7 +405,7 @@ def corrected(
     model: Model, values: Values, channels: Channels, marks: Values, aircraft: Aircraft
 ) -> dict[str, np.ndarray]:
     correction, x = _Correction.of(model, values, channels, marks, aircraft)
-    return dict(zip(channels, np.asarray(correction(x) * correction.scale[:, None]), strict=True))
+    return dict(zip(channels, np.asarray(correction(x)) * correction.scale[:, None], strict=True))
 
 
 def misrecorded(
@@ -416,14 +417,14 @@ def misrecorded(
     correction, goal = _Correction.of(model, values, true, marks, aircraft)
     x, left, options = goal, 0.0, {"atol": 1e-13, "btol": 1e-13, "conlim": 0.0, "maxiter": 300}
     for _ in range(STEPS):
-        error = np.asarray(goal - correction(x))
+        error = goal - np.asarray(correction(x))
         # What LSMR could not solve another step cannot either: it is what a delay has lost. Curvature leaves more.
         if np.max(np.abs(error)) < TOLERANCE or np.linalg.norm(error) < 2.0 * left:
             break
         error = np.where(np.abs(error) < 1e-14, 0.0, error)  # rounding, in channels that no effect touches
         step, _, _, left, *_ = lsmr(correction.derivative(x), error.ravel(), **options)
-        x = x + jnp.asarray(step.reshape(x.shape))
-    change = np.asarray((x - goal) * correction.scale[:, None])
+        x = x + step.reshape(x.shape)
+    change = (x - goal) * correction.scale[:, None]
     return {name: series + dx for (name, series), dx in zip(true.items(), change, strict=True)}
 
 

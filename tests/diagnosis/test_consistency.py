@@ -26,7 +26,7 @@ from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
-from bayes_aero.model.records import Forming, joined
+from bayes_aero.model.records import Forming
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth
 from bayes_aero.physics.kinematics import LATERAL, PATH, Rotation, integral, lever_arm, path_rates, side_force
 from bayes_aero.report.pages.estimates import verdict
@@ -395,7 +395,7 @@ def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_a
     """The scale of the correction goes with the airspeed; where its integral begins must not be multiplied by it."""
 
     def left(pressure: float) -> float:
-        flights = joined([misread(card, pitot_pressure_bias=pressure)], card)
+        flights = join([misread(card, pitot_pressure_bias=pressure)], card)
         path = FlightPathError.of(flights, Model.of(["pitot_pressure_bias"]))
         residual = path.evaluate(np.array([pressure]))[0][:, path.outputs.index("airspeed")]
         return float(np.std(residual))

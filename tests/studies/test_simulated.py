@@ -14,8 +14,8 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import marks, observe
-from bayes_aero.model.records import Forming, with_sums
+from bayes_aero.model.observations import observe
+from bayes_aero.model.records import Forming, plain_marks, with_sums
 from bayes_aero.simulate.demo import TRUTH, Request
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable, hidden_flights, hidden_records, synthetic
 
@@ -46,7 +46,7 @@ def test_corrected_gives_back_what_was_flown(name, card):
     record = flight.record
     model = Model.of([name])
     recorded = {key: jnp.asarray(x) for key, x in with_sums(record, card).items()}
-    found = model.corrected(effects[name], recorded | marks(record.n, record.dt), card.aircraft)
+    found = model.corrected(effects[name], recorded | plain_marks(record.n, record.dt), card.aircraft)
     changed = 0.0
     for channel in recorded:
         if channel in flight.true:
