@@ -7,9 +7,10 @@ COMPILED := JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.cache/compiled JAX_PERSISTENT_C
 # Half of the tests' time is compiling; the former emitters of the pinned jaxlib, one part a program and no optimisation take half of that.
 # Programs that run often ask for level 1 themselves (processes.compiled_at).
 QUICK_TO_COMPILE := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
-# Two test workers on two cores: a second BLAS thread in each makes the Gaussian processes several times slower.
+# Three test workers on two cores, for some tests wait for a browser, a cluster or a notebook; a second BLAS thread in each
+# makes the Gaussian processes several times slower.
 # One worker does what shares fixtures (tests/conftest.py); groups begin in the order in which they are collected.
-PYTEST := $(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder --durations=25
+PYTEST := $(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 3 --dist loadgroup --no-loadscope-reorder --durations=25
 STAMP := $(VENV)/.installed
 
 .PHONY: install demo picture test exact check verify fast docs notebooks clean

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+PLAIN = (np.ndarray, np.float64, float, int)
 AnyArray = Any  # of either library; jaxtyping still checks its kind and shape
 Samples = Float[AnyArray, "*#n"]  # some at one sample, or for many directions at once
 
@@ -21,7 +22,7 @@ Samples = Float[AnyArray, "*#n"]  # some at one sample, or for many directions a
 def namespace(*arrays: Any) -> Any:
     """`jax.numpy` where any of the arrays is JAX's (a tracer is), else `numpy`."""
     jax = sys.modules.get("jax")
-    if jax is None:
+    if jax is None or all(type(x) in PLAIN for x in arrays):  # to ask whether an array is JAX's takes longer
         return np
     return jax.numpy if any(isinstance(x, jax.Array) for x in arrays) else np
 

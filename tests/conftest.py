@@ -1,6 +1,7 @@
 """Fixtures that several test folders share."""
 
 import gc
+import itertools
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -28,18 +29,19 @@ gc.set_threshold(*SELDOM)  # as the program does
 ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas"
 TESTS = Path(__file__).parent
 sys.path.append(str(TESTS.parent / "benchmarks"))  # after all that is installed: one of them is called `coverage`
-FIRST = ("diagnosis", "diagnosed", "cli", "cluster", "inference")  # most work: not to be begun last, by one worker
+NUMBER = itertools.count()  # of tests
+FIRST = ("forgets", "test_docs", "diagnosis", "diagnosed", "cli", "cluster", "inference")  # not to be begun last
 
 
 @pytest.hookimpl(tryfirst=True)  # xdist reads the groups in a hook of this name that would come before
 def pytest_collection_modifyitems(items):
     """One worker does what shares fixtures and compiled programs: a folder, or all that needs the fixture `diagnosed`.
 
-    Groups of most work come first, tests that forget compiled programs last.
+    Groups of most work come first, before them tests that forget compiled programs.
     """
     groups = {item: _group(item) for item in items}
-    others = [name for name in dict.fromkeys(groups.values()) if name not in (*FIRST, "forgets")]
-    order = {name: number for number, name in enumerate((*FIRST, *others, "forgets"))}
+    others = [name for name in dict.fromkeys(groups.values()) if name not in FIRST]
+    order = {name: number for number, name in enumerate((*FIRST, *others))}
     items.sort(key=lambda item: order[groups[item]])
     for item, group in groups.items():
         item.add_marker(pytest.mark.xdist_group(group))
@@ -51,13 +53,17 @@ def _group(item) -> str:
     return [*apart, item.path.relative_to(TESTS).parts[0].removesuffix(".py")][0]
 
 
+def pytest_collection_finish():
+    gc.freeze()  # what is imported stays
+
+
 def pytest_runtest_setup(item):
     typechecker.begin(item)
 
 
 def pytest_runtest_teardown(nextitem):  # noqa: ARG001
     """A worker that runs a third of the tests would compile more programs than Linux lets one process map."""
-    if full_of_programs():
+    if next(NUMBER) % 8 == 0 and full_of_programs():  # to count its mappings takes some 10 ms
         give_back_memory()
 
 

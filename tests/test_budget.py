@@ -10,11 +10,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41994,
+    "bayes_aero: lines": 41995,
     "bayes_aero: files": 129,
     "bayes_aero: private helpers used once": 234,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 21618,
+    "tests: lines": 21624,
     "tests: files": 85,
     "benchmarks: lines": 4423,
     "benchmarks: files": 25,
