@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import re
 import sys
 from functools import cache
 from pathlib import Path
@@ -18,13 +19,15 @@ from bayes_aero.flight.record import write_record
 from bayes_aero.jobs.documents import DOCUMENTS, document_schema
 from bayes_aero.jobs.store import plain
 
+BLOCKS = ("Record", "Result", "Doubts", "Next")
+SCREENS = ("check", "identify", "diagnose", "fly", "path", "qualify")
 RINGS = 3  # a defect: to resample rings about a step of thrust, which is then called frozen in a sound record
 
 
 def called(folder, *arguments):
     """What the program gives (code, out, err) that is called in this folder, for fixtures that many tests share."""
-    out, err = io.StringIO(), io.StringIO()
-    argv = ["bayes-aero", *map(str, arguments)]
+    out, err, shown = io.StringIO(), io.StringIO(), arguments[0] in SCREENS and not {"--json", "--help"} & {*arguments}
+    argv = ["bayes-aero", *map(str, arguments), *(["--verbose"] if shown else [])]
     with (
         contextlib.chdir(folder),
         patch.object(sys, "argv", argv),
@@ -33,7 +36,28 @@ def called(folder, *arguments):
         pytest.raises(SystemExit) as stopped,
     ):
         main()
+    if shown and stopped.value.code in (None, 0, 1, 3) and "\nAll findings\n" in out.getvalue():
+        on_one_screen(out.getvalue().partition("\nAll findings\n")[0])
     return SimpleNamespace(code=stopped.value.code or 0, out=out.getvalue(), err=err.getvalue())
+
+
+def on_one_screen(text):
+    """At most 30 lines of 100 columns, in the four blocks, of sentences of at most 25 words."""
+    lines = text.splitlines()
+    assert len(lines) <= 30, text
+    assert [line for line in lines if len(line) > 100 and " in " not in line[:18]] == [], text
+    blocks = {}
+    for line in lines:
+        if line[:9].strip() in BLOCKS:
+            blocks[name := line[:9].strip()] = []
+        if blocks and (line[:9].strip() in ("", name)):
+            blocks[name].append(line[9:].strip())
+    assert list(blocks)[:1] == ["Record"], text
+    assert set(blocks) <= set(BLOCKS), text
+    assert not {"Result", "Doubts"} - set(blocks), text
+    for name in ("Record", "Doubts", "Next"):
+        sentences = re.split(r"(?<=[.:;])\s+(?=[A-Z0-9])|(?:^|\s)(?:!|\d\.)\s", " ".join(blocks.get(name, [])))
+        assert [x for x in sentences if x and len(x.split()) > 25 and "bayes-aero" not in x] == [], text
 
 
 def recorded(record, path, card):

@@ -30,9 +30,13 @@ from bayes_aero.jobs.options import (
 from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
-    from bayes_aero.jobs.results import Flight
+    from bayes_aero.flight.card import Card
+    from bayes_aero.flight.record import FlightRecord
+    from bayes_aero.jobs.results import Flight, Outcome
+    from bayes_aero.report.screen import Screen
     from bayes_aero.study.run import Planned, Study, Unit, UnitRunner
 
+FIRST = 22  # lines of what diagnose answers first: trajectories may change it
 MOST = 5  # candidates of each stage on a terminal, where there is no cause
 
 
@@ -42,6 +46,8 @@ def identify(
     options: IdentifyOptions,
     records: Annotated[list[Path] | None, typer.Argument(help=f"{terminal.RECORDS}; none: two simulated.")] = None,
     out: terminal.OutOption = Path("results"),
+    verbose: terminal.VerboseOption = False,
+    timings: terminal.TimingsOption = False,
     json: terminal.JsonOption = False,
 ) -> None:
     """Identify the parameters of a card's model: maximum likelihood, posteriors and Gaussian processes.
@@ -54,25 +60,28 @@ def identify(
         from bayes_aero.flight.card import read_card
         from bayes_aero.jobs import identify as job
         from bayes_aero.report.pages.estimates import verdict
-        from bayes_aero.report.pages.identification import next_flight_table, parameter_table
+        from bayes_aero.report.pages.identification import identification_screen, next_flight_table, parameter_table
         from bayes_aero.simulate.demo import TRUTH, demo_records
 
-    console, truth = terminal.teller(quiet=json, highlight=True), None
+    truth = None
     if not records:
-        console.print("No record given: two simulated stall manoeuvres are identified.")
+        terminal.teller(quiet=json).print("No record given: two simulated stall manoeuvres are identified.")
         same = card.sha256 == read_card("attas").sha256  # with another card's constants the parameters are others
         flights, truth = demo_records(), TRUTH if same else None
-    with terminal.working(out) as tell:
+    with terminal.working(out, timings) as tell:
         identification = job.identify(flights, card, options, out=out, truth=truth, progress=tell)
 
-    def show() -> None:
+    def everything(console: Console) -> None:
         console.print(parameter_table(identification).terminal())
         if identification.next_flight is not None:
             console.print(next_flight_table(identification).terminal())
         terminal.print_lines(console, verdict(identification), identification.notes)
-        console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
 
-    terminal.conclude(console, identification, show, json=out / "results.json" if json else None)
+    def screen() -> Screen:
+        return identification_screen(identification, card, flights)
+
+    file = out / "results.json" if json else None
+    terminal.conclude(screen, [f"Results are in {out}"], identification, everything, verbose=verbose, json=file)
 
 
 @terminal.with_options
@@ -86,6 +95,8 @@ def diagnose(
     write_effect: Annotated[
         Path | None, typer.Option(help="Effect file (.py) to write, of the terms found.", metavar="FILE")
     ] = None,
+    verbose: terminal.VerboseOption = False,
+    timings: terminal.TimingsOption = False,
     json: terminal.JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: size, uncertainty, rivals, and the gain on hold-out data.
@@ -96,23 +107,36 @@ def diagnose(
     with terminal.loading():
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
         from bayes_aero.jobs.preparing import refuse_existing, write_effects
-        from bayes_aero.report.pages.diagnosis import causes_table, in_band_sentences, revealed, screen_table, sentences
+        from bayes_aero.report.pages.diagnosis import (
+            causes_table,
+            diagnosis_screen,
+            in_band_sentences,
+            screen_table,
+            sentences,
+        )
         from bayes_aero.report.pages.qualification import points_sentences
         from bayes_aero.report.pages.trajectories import hold_out_table
 
     if write_effect is not None:
         refuse_existing(write_effect)
-    console = terminal.teller(quiet=json, highlight=True)
-    with terminal.working(out, "reading" if records else "simulating") as tell:
+    with terminal.working(out, timings, "reading" if records else "simulating") as tell:
         if not records:
-            console.print("No record given: an effect is hidden in two simulated manoeuvres, then searched for.")
+            terminal.teller(quiet=json).print(
+                "No record given: an effect is hidden in two simulated manoeuvres, then searched for."
+            )
             hidden, flights = hide_one(card, options.seed)
-        outcome = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell)
+        shown: list[Screen] = []
+
+        def answer(first: Outcome) -> None:
+            shown.append(diagnosis_screen(first, card, flights))
+            terminal.print_screen(shown[0], FIRST, quiet=json)
+
+        outcome = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell, answer=answer)
     d, rankings = outcome.diagnosis, outcome.view.rankings
     names = [record.name for record in flights]
     written = [] if write_effect is None else [write_effects(d.terms, names, write_effect)]
 
-    def show() -> None:
+    def everything(console: Console) -> None:
         verdict, *rest = sentences(outcome.view)
         console.print(verdict, highlight=False, style="bold")
         if d.causes or rankings:
@@ -122,13 +146,15 @@ def diagnose(
             console.print(hold_out_table(outcome.view.trajectories, brief=True).terminal())
         more = (*in_band_sentences(outcome.in_band), *points_sentences(outcome.test_points))
         terminal.print_lines(console, (*rest, *more), outcome.notes)
-        for sentence in revealed(outcome.hidden, outcome.named) if outcome.hidden is not None else ():
-            console.print(sentence, highlight=False, style="bold")
-        for line in (*written, f"Results are in {out}"):
-            console.print(line, highlight=False, soft_wrap=True)
 
+    def changes() -> Screen | None:
+        changed = diagnosis_screen(outcome, card, flights).changes(shown[0])
+        return changed if any((changed.result, changed.doubts, changed.next)) else None
+
+    lines, file = (*written, f"Results are in {out}"), out / "diagnosis.json" if json else None
     # Trajectories alone are fitted to the record as it is.
-    terminal.conclude(console, outcome, show, json=out / "diagnosis.json" if json else None, corrects=d.by_coefficients)
+    corrects = d.by_coefficients
+    terminal.conclude(changes, lines, outcome, everything, verbose=verbose, json=file, corrects=corrects)
 
 
 @terminal.with_options
@@ -137,6 +163,8 @@ def fly(
     reading: ReadingOptions,
     options: FlyOptions,
     out: terminal.OutOption = Path("trajectories"),
+    verbose: terminal.VerboseOption = False,
+    timings: terminal.TimingsOption = False,
     json: terminal.JsonOption = False,
 ) -> None:
     """Fit a card's model and the initial states to trajectories (output error), with the recorded inputs.
@@ -151,9 +179,9 @@ def fly(
     with terminal.loading():
         from bayes_aero.jobs.fly import fly as job
 
-    with terminal.working(out) as tell:
+    with terminal.working(out, timings) as tell:
         flight = job(flights, card, options, out=out, progress=tell)
-    conclude_fit(flight, out, json=json)
+    conclude_fit(flight, card, flights, out, verbose=verbose, json=json)
 
 
 @terminal.with_options
@@ -162,6 +190,8 @@ def path(
     reading: ReadingOptions,
     options: PathOptions,
     out: terminal.OutOption = Path("path"),
+    verbose: terminal.VerboseOption = False,
+    timings: terminal.TimingsOption = False,
     json: terminal.JsonOption = False,
 ) -> None:
     """Reconstruct the flight path: errors of sensors from accelerations and rates, without aerodynamics.
@@ -179,19 +209,23 @@ def path(
     with terminal.loading():
         from bayes_aero.jobs.fly import flight_path
 
-    with terminal.working(out) as tell:
+    with terminal.working(out, timings) as tell:
         flight = flight_path(flights, card, options, out=out, progress=tell)
-    conclude_fit(flight, out, json=json, compared=False, doubtful=bool(flight.flown.worse))
+    worse = bool(flight.flown.worse)
+    conclude_fit(flight, card, flights, out, verbose=verbose, json=json, compared=False, doubtful=worse)
 
 
-def conclude_fit(flight: Flight, out: Path, *, json: bool, compared: bool = True, doubtful: bool = False) -> None:
+def conclude_fit(
+    flight: Flight, card: Card, records: list[FlightRecord], out: Path, *,
+    verbose: bool, json: bool, compared: bool = True, doubtful: bool = False,
+) -> None:  # fmt: skip
     from bayes_aero.jobs.results import RESULTS
     from bayes_aero.report.pages import fly as of_fit
     from bayes_aero.report.pages import trajectories
 
-    console, flown, beside = terminal.teller(quiet=json, highlight=True), flight.flown, flight.process_noise
+    flown, beside = flight.flown, flight.process_noise
 
-    def show() -> None:
+    def everything(console: Console) -> None:
         tables = [of_fit.parameter_table(flown)]
         if beside is not None and beside.converged:
             tables.append(trajectories.process_noise_table(beside, flown))
@@ -202,10 +236,14 @@ def conclude_fit(flight: Flight, out: Path, *, json: bool, compared: bool = True
         for table in tables:
             console.print(table.terminal())
         terminal.print_lines(console, flight.sentences, flight.notes)
-        console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
 
-    file, failed = out / RESULTS if json else None, not flown.converged
-    terminal.conclude(console, flight, show, json=file, compared=compared, failed=failed, doubtful=doubtful)
+    def screen() -> Screen:
+        return of_fit.fly_screen(flight, card, records)
+
+    terminal.conclude(
+        screen, [f"Results are in {out}"], flight, everything, verbose=verbose,
+        json=out / RESULTS if json else None, compared=compared, failed=not flown.converged, doubtful=doubtful,
+    )  # fmt: skip
 
 
 # --- bayes-aero export, open and qualify: what is done with a finished result.
@@ -278,6 +316,8 @@ def qualify(
     options: QualifyOptions,
     records: Annotated[list[Path] | None, typer.Argument(help=f"Further tests: {terminal.RECORDS}.")] = None,
     out: terminal.OutOption = Path("qualification"),
+    verbose: terminal.VerboseOption = False,
+    timings: terminal.TimingsOption = False,
     json: terminal.JsonOption = False,
 ) -> None:
     """How probably the simulation passes each tolerance of the card: in the manoeuvres flown, and in the next flight.
@@ -294,20 +334,22 @@ def qualify(
     terminal.check_result(result)
     with terminal.loading():
         from bayes_aero.jobs.qualify import RESULTS, qualify_result
-        from bayes_aero.report.pages.qualification import further_sentences, sentences, verdict_sentence, verdict_table
+        from bayes_aero.report.pages.qualification import further_sentences, qualification_screen, sentences
 
-    console = terminal.teller(quiet=json)
-    with terminal.working(out) as tell:
+    with terminal.working(out, timings) as tell:
         qualification, failures = qualify_result(result, tuple(records or ()), options, out=out, progress=tell)
 
-    def show() -> None:
-        console.print(verdict_sentence(qualification), soft_wrap=True)
-        console.print(verdict_table(qualification).terminal())
+    def everything(console: Console) -> None:
         origins = [f"{name}: {text}" for name, text in qualification.origins.items()]
         terminal.print_lines(console, (*sentences(qualification), *further_sentences(qualification.further), *origins))
-        console.print(f"Results are in {out}; qualification.html is to be signed or refused", soft_wrap=True)
 
-    terminal.conclude(console, qualification, show, json=out / RESULTS if json else None, failures=failures)
+    def screen() -> Screen:
+        return qualification_screen(qualification, result)
+
+    terminal.conclude(
+        screen, [f"Results are in {out}; qualification.html is to be signed or refused"], qualification, everything,
+        verbose=verbose, json=out / RESULTS if json else None, failures=failures,
+    )  # fmt: skip
 
 
 # --- bayes-aero run.

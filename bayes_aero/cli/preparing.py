@@ -30,6 +30,7 @@ def check(
     sensors: Annotated[bool, typer.Option(help="Check the sensors against each other along the flight path.")] = True,
     seed: terminal.SeedOption = 0,
     out: Annotated[Path | None, typer.Option(help="Folder for report.html and check.json.")] = None,
+    verbose: terminal.VerboseOption = False,
     json: terminal.JsonOption = False,
 ) -> None:
     """Check records against a card: channels, units, gaps, what they can test, agreement of the sensors.
@@ -41,6 +42,7 @@ def check(
     with terminal.loading():
         from bayes_aero.flight.card import read_card
         from bayes_aero.jobs.check import check_records, check_results, write_check
+        from bayes_aero.report.pages.check import check_screen
 
     card, how = read_card(reading.model), {"resample": reading.resample, "split": reading.split}
     with (
@@ -52,10 +54,13 @@ def check(
     if json:
         terminal.print_json(check_results(report))
     console = terminal.teller(quiet=json)
-    print_report(console, report)
-    terminal.print_failures(console, failures)
+    terminal.print_screen(check_screen(report), quiet=json)
     if out is not None:
         console.print(f"The report is in {out / 'report.html'}", soft_wrap=True)
+    if verbose:
+        console.print(terminal.ALL, style="bold")
+        print_report(console, report)
+        terminal.print_failures(console, failures)
     if failures or not report.usable:
         raise typer.Exit(terminal.FAILED)
     terminal.exit_in_doubt(report.consistency, report.health, corrects=False)
@@ -89,8 +94,6 @@ def print_report(console: Console, report: CheckReport) -> None:
         console.print(f"  {name}: {error['claim']} {text.parts.error_sizes(error)}{faint}")
     if not report.sensors.note:
         console.print(f"  {text.left_over(report)}")
-    colour = "red" if not report.usable else "yellow" if report.cautions or doubt else "green"
-    console.print(text.headline(report), style=f"bold {colour}")
 
 
 def card(

@@ -25,12 +25,15 @@ if TYPE_CHECKING:
     from bayes_aero.flight.card import Card
     from bayes_aero.flight.health import Consistency, HealthFinding
     from bayes_aero.flight.record import FlightRecord
+    from bayes_aero.report.screen import Screen
 
 
 FAILED = 1
 BAD_INPUT = 2
 DOUBT = 3  # done and written, but sensors disagree or a channel is faulty
 INTERRUPTED = 130
+COLUMNS = 100  # of the screen, where the terminal has as many
+ALL = "All findings"
 
 SUFFIXES = ".csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc"
 RECORDS = f"Flight records ({SUFFIXES}), or parts of them, FILE@FROM:TO in seconds"
@@ -38,6 +41,8 @@ RECORDS = f"Flight records ({SUFFIXES}), or parts of them, FILE@FROM:TO in secon
 RecordsArgument = Annotated[list[Path], typer.Argument(help=f"{RECORDS}.")]
 ResultArgument = Annotated[str, typer.Argument(help="Folder (or JSON file) of a result.", metavar="RESULT")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else on stdout.")]
+TimingsOption = Annotated[bool, typer.Option("--timings", help="Print the seconds of each stage, on stderr.")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", help="Print all findings below the screen.")]
 SeedOption = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Same seed, same machine: same numbers.")]
 OutOption = Annotated[Path, typer.Option(help="Folder for the results.")]
 ResultCardOption = Annotated[str | None, typer.Option(help="The result's card, if not found.", metavar="CARD")]
@@ -79,22 +84,37 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
     return Console(quiet=quiet, highlight=highlight, markup=False)
 
 
+def print_screen(screen: Screen, lines: int = 28, *, quiet: bool = False) -> None:
+    """In at most these lines, at most `COLUMNS` wide; as wide where it is no terminal."""
+    wide = Console()
+    width = min(wide.width, COLUMNS) if wide.is_terminal else COLUMNS
+    console = Console(quiet=quiet, highlight=False, markup=False, width=width)
+    console.print(screen.terminal(console, lines))
+
+
 @contextmanager
-def bar(first: str, over: float = 30.0) -> Iterator[Progress]:
-    """A bar with the stage, its time and what is left by the last `over` seconds; silence without a terminal."""
+def bar(first: str, over: float = 30.0, spent: dict[str, float] | None = None) -> Iterator[Progress]:
+    """A bar with the stage, its time and what is left by the last `over` seconds; silence without a terminal. `spent`
+    gets the seconds of each stage."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with ProgressBar(
         *columns, console=console, transient=True, disable=not console.is_terminal, speed_estimate_period=over
     ) as shown:
-        task = shown.add_task(first, total=1.0)
+        task, stage, begun = shown.add_task(first, total=1.0), first, time.perf_counter()
 
         def tell(text: str, share: float) -> None:
+            nonlocal stage, begun
+            if spent is not None and text != stage:
+                now = time.perf_counter()
+                spent[stage] = spent.get(stage, 0.0) + now - begun
+                stage, begun = text, now
             if share < shown.tasks[0].completed:  # the next stage; a finished task's clock would stand still for good
                 shown.reset(task)
             shown.update(task, description=text, completed=share)
 
         yield tell
+        tell("", 1.0)
 
 
 @contextmanager
@@ -155,10 +175,12 @@ def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding]
 
 
 def conclude(
-    console: Console,
+    screen: Callable[[], Screen | None],
+    written: Sequence[str],
     outcome: Any,
-    show: Callable[[], None],
+    everything: Callable[[Console], None],
     *,
+    verbose: bool,
     json: Path | None,
     corrects: bool = False,
     compared: bool = True,
@@ -166,9 +188,10 @@ def conclude(
     failed: bool = False,
     doubtful: bool = False,
 ) -> None:
-    """Show what a job has found, faulty channels and disagreeing sensors first (or the file `json`), and leave with its
-    code. `corrects`: it takes known errors of sensors out; `compared`: the sensors were; `failed`: the result is of no
-    use; `doubtful`: it is in doubt whatever the records are."""
+    """Show what a job has found on one screen (None: it is shown already) and what was `written` (or the file `json`),
+    if `verbose` then all it has to say, and leave with its code. `corrects`: it takes known errors of sensors out;
+    `compared`: the sensors were; `failed`: the result is of no use; `doubtful`: it is in doubt whatever the records
+    are."""
     from bayes_aero.report.pages.parts import consistency_sentences
 
     failed_parts: Sequence[str] = outcome.failures if failures is None else failures
@@ -176,11 +199,18 @@ def conclude(
     if json is not None:
         typer.echo(json.read_text(encoding="utf-8"), nl=False)
     else:
+        console = teller(highlight=True)
+        if (shown := screen()) is not None:
+            print_screen(shown)
+        for line in written:
+            console.print(line, highlight=False, soft_wrap=True)
+    if verbose and json is None:
+        console.print(ALL, style="bold")
         print_failures(console, failed_parts)
         print_lines(console, (), [finding.sentence for finding in outcome.health])
         if agreement is not None:
             print_lines(console, consistency_sentences(agreement, corrects=corrects))
-        show()
+        everything(console)
     if failed or failed_parts:
         raise typer.Exit(FAILED)
     if doubtful:
@@ -201,8 +231,9 @@ def interruptible(resume: Callable[[], str]) -> Iterator[None]:
 
 
 @contextmanager
-def working(out: Path, first: str = "reading") -> Iterator[Progress]:
-    """The bar of a command that writes stage by stage into `out`; Ctrl-C says what is kept."""
+def working(out: Path, timings: bool, first: str = "reading") -> Iterator[Progress]:
+    """The bar of a command that writes stage by stage into `out`; Ctrl-C says what is kept. With `timings` the seconds
+    of each stage are printed."""
     began = time.time() - 1.0  # file systems round times
 
     def resume() -> str:
@@ -211,8 +242,11 @@ def working(out: Path, first: str = "reading") -> Iterator[Progress]:
             return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
         return f"{out} has the stages that had finished ({', '.join(files)}); the same command repeats all stages"
 
-    with interruptible(resume), bar(first) as tell:
+    spent: dict[str, float] = {}
+    with interruptible(resume), bar(first, spent=spent) as tell:
         yield tell
+    for stage, seconds in spent.items() if timings else ():
+        print(f"{seconds:7.1f} s  {stage}", file=sys.stderr)
 
 
 # --- Options of the command line that are gone: one row each, told before the command line is parsed.

@@ -87,8 +87,10 @@ def diagnose_records(
     out: Path | None = None,
     hidden: Hidden | None = None,
     progress: Progress | None = None,
+    answer: Callable[[Outcome], None] = lambda _: None,
 ) -> Outcome:
-    """Diagnose, as `bayes-aero diagnose` does; `hidden` is what simulated records hide."""
+    """Diagnose, as `bayes-aero diagnose` does; `hidden` is what simulated records hide. `answer` is given the outcome
+    as soon as the causes are known; trajectories, figures and the page follow."""
     card, left_out = on_recorded_axes(card, records)
     if out is not None:
         writable(out)
@@ -105,6 +107,7 @@ def diagnose_records(
     failed = (*checks.failures, *diagnosis.failures)
     kept.result = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
     kept.keep(left_out, view={"diagnosis": view.diagnosis, "trajectories": view.trajectories})
+    answer(kept.result)
     follow_up(kept, records, card, options, progress)
     return kept.result
 

@@ -10,7 +10,7 @@ import base64
 import io
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
@@ -97,17 +97,18 @@ class Section(NamedTuple):
 
 @dataclass
 class Report:
-    """A report: doubts of the records, if any; a verdict in one sentence, one picture, then sections."""
+    """A report: the screen in its four blocks, or a verdict in one sentence; one picture; then sections."""
 
     title: str
     subtitle: str
     verdict: str
     lead: Sequence[Any]
     sections: Sequence[Section]
-    doubts: Sequence[Any] = ()
+    screen: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.lead, self.doubts = blocks(*self.lead), blocks(*self.doubts)
+        self.lead = blocks(*self.lead)
+        self.screen = {name: blocks(*parts) for name, parts in self.screen.items() if parts}
         self.sections = [section for section in self.sections if section.blocks]
 
 

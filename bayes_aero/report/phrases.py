@@ -55,10 +55,11 @@ def filled(text: str, /, **values: Any) -> str:
 
 
 class Message(str):
-    """What is read of a message of `words.toml`, text and then what to do, with its key and how grave it is."""
+    """What is read of a message of `words.toml`: its claim in one sentence, the text on it, and what to do."""
 
     key: str
     severity: str  # finding: an answer; doubt: a result is less sure than it looks; error: a result is of no use
+    claim: str
     do: str
 
 
@@ -67,9 +68,9 @@ def sentence(key: str, /, **values: Any) -> str:
     if key in WORDS["sentences"]:
         return filled(WORDS["sentences"][key], **values)
     entry = WORDS["messages"][key]
-    text, do = (filled(entry.get(part, ""), **values).strip() for part in ("text", "do"))
-    message = Message(f"{text} {do}".strip())
-    message.key, message.severity, message.do = key, entry["severity"], do
+    claim, text, do = (filled(entry.get(part, ""), **values).strip() for part in ("claim", "text", "do"))
+    message = Message(" ".join(part for part in (claim, text, do) if part))
+    message.key, message.severity, message.claim, message.do = key, entry["severity"], claim or text, do
     return message
 
 

@@ -74,7 +74,8 @@ def identified(tmp_path_factory, clean_records, card):
     (folder / "results" / "figures").mkdir(parents=True)
     for name in (*OLDER, *MINE):
         (folder / "results" / name).write_text("of another day")
-    doubt = HealthFinding("second", "altitude", "unit", None, None, "second: altitude is in ft", grave=True)
+    words = "altitude is in ft", "", "", "second: altitude is in ft"
+    doubt = HealthFinding("second", "altitude", "unit", None, None, *words, grave=True)
     short = NutsLength(chains=1, warmup=100, max_blocks=1, metric=False)
     ensemble, nuts = partial(sample_ensemble, length=EnsembleLength(2, 100)), partial(sample_nuts, length=short)
     with (

@@ -318,7 +318,7 @@ def test_a_gyro_bias_is_seen_without_aerodynamics_and_reported_on_request(progra
     assert record["samples"] == 1001
     assert "spoiler_lift" in content["not_testable"]  # no spoiler moved
     page = page_of(Path("checked"))
-    holds(page, "pitch_rate_bias", "Usable for identify, diagnose, fly", "spoiler_lift", "ALCG")
+    holds(page, "pitch_rate_bias", "Usable for identify, diagnose and fly", "spoiler_lift", "ALCG")
     assert json.loads(Path("checked/check.json").read_text())["usable"]
 
 

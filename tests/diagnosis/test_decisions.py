@@ -250,7 +250,7 @@ def test_half_of_a_joint_estimate_is_no_cause(diagnosed):
     assert (causes, beyond) == ((), (bias, scale))
     d = replace(diagnosed.view.diagnosis, causes=causes, beyond=beyond)
     assert not advised(d, "airspeed_scale")
-    (said,) = [s for s in diagnosis_sentences(d) if s.startswith("The estimate of airspeed_scale")]
+    (said,) = [s for s in diagnosis_sentences(d) if s.startswith("airspeed_scale was estimated together")]
     assert "airspeed_bias (correlation -0.97)" in said
     assert decided.without_conditional((scale,), ()) == ((scale,), ())
 
@@ -308,7 +308,7 @@ def test_sizes_that_no_sensor_or_aircraft_has_are_said(diagnosed):
     (sentence,) = [x for x in said if "alpha_bias" in x]
     assert "9.00 ± 0.50 deg" in sentence
     assert "at most 3 deg" in sentence
-    assert any("On this aircraft" in x and "left out of the model" in x for x in said)
+    assert any("on this aircraft" in x and "left out of the model" in x for x in said)
     search = part(SearchResult, full=d.aerodynamics.state.full, stages={found.stage: d.aerodynamics}, unknown=())
     (left,) = decided.structure_of(search, [large])
     assert (left.coefficient, left.channel, left.rivals) == ("Cm", "alpha", ("alpha_squared_moment",))

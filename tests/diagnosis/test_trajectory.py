@@ -304,7 +304,7 @@ def test_what_differs_beyond_both_intervals_is_told_and_the_filter_decides():
         filtered = Mock(spec=ProcessNoise, estimates={"CLa": (CLa, 0.05)}, preferred=True, converged=True)
         assert hold_out.still_apart([apart], filtered) == still
         (sentence,) = settled_sentences([apart], filtered, still, disputed=True)
-        assert sentence.startswith("The coefficients and output error disagree on CLa.")
+        assert sentence.startswith("The coefficients and output error disagree on CLa, ")
         assert ("the model lacks" if still else "Prefer the estimates with process noise") in sentence
     failed = Mock(spec=ProcessNoise, estimates={"CLa": (4.33, 0.05)}, preferred=False, converged=False)
     assert settled_sentences([apart], failed, (), disputed=False) == []

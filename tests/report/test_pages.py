@@ -24,7 +24,7 @@ from bayes_aero.report.page import Fold, HtmlTable, Picture, Plot, Report, Text,
 from bayes_aero.report.pages.diagnosis import diagnosis_page
 from bayes_aero.report.pages.fly import error_table, fly_page, initial_table, motion_sentences
 from bayes_aero.report.pages.fly import parameter_table as trajectory_parameters
-from bayes_aero.report.pages.identification import headline, identification_page, parameter_table
+from bayes_aero.report.pages.identification import identification_page, identification_screen, parameter_table
 from bayes_aero.report.pages.parts import PageContext, at_a_glance, stall_table
 from bayes_aero.report.pages.study import MOST_UNITS, estimates, study_headline, study_page
 from bayes_aero.report.plots import Line, Panel, extremes, linked
@@ -110,7 +110,7 @@ def test_what_a_record_or_sampler_does_not_show_is_said(full):
     assert table.rows[0][1].startswith("at least")
     assert table.rows[0][2] == "not shown by this record"
     assert "100%" in warning.text
-    assert "CLmax" not in headline(full)
+    assert "CLmax" not in str(identification_screen(full, full.card, full.records).result)
     bad = replace(full.posteriors["nuts"], status=PosteriorStatus.DIVERGENT)
     page = identification_page(replace(full, posteriors={**full.posteriors, "nuts": bad}), {}, {})
     assert page.lead[0].tone == "warning"
@@ -184,13 +184,15 @@ def by_trajectories(view: DiagnosisView) -> DiagnosisView:
 
 
 def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card):
-    health = (HealthFinding(diagnosed.records[0].name, "airspeed", "unit", None, None, "1 in knots", True),)
+    words = "1 in knots", "", "", "1 in knots"
+    health = (HealthFinding(diagnosed.records[0].name, "airspeed", "unit", None, None, *words, grave=True),)
     source = provenance(card, diagnosed.records, 0, {})
     context = PageContext(card, diagnosed.records, source, {}, Outcome(flown, health=health))
     for page in (diagnosis_page(flown, context), diagnosis_page(by_trajectories(flown), context)):
-        assert page.doubts[0] == Text("1 in knots.", "warning")
+        assert "Not fit for use" in page.screen["Record"][0].text
+        assert "1 in knots" in page.screen["Record"][1].text
         html = render(page)
-        assert html.index("in knots") < html.index('class="verdict"')
+        assert html.index("in knots") < html.index("<dt>Result</dt>")
 
 
 def test_a_long_record_makes_a_page_of_bearable_size(make, monkeypatch):
@@ -232,8 +234,9 @@ def test_every_part_is_made_and_nothing_else():
     page = fly_page(flight().flown, context(motion=None))
     assert not not_made(page)
     assert [s.key for s in page.sections] == ["findings", "records", "fit", "errors", "parameters", "provenance"]
-    assert page.verdict == "The fit converged."
-    assert blocks_of(page, "findings")[0].items == ("A finding.", "A note.")
+    assert list(page.screen) == ["Record", "Result", "Doubts", "Next"]
+    assert page.screen["Result"][0].text == "The fit converged."
+    assert blocks_of(page, "findings")[0].items == ("The fit converged.", "A finding.", "A note.")
     assert [b.title for b in blocks_of(page, "fit") if isinstance(b, Plot)] == ["one", "two"]
     assert all(isinstance(b, Fold) for b in blocks_of(page, "provenance"))  # folded away
     holds(render(page), *SHORT_PERIOD_TRUTH)
@@ -258,12 +261,12 @@ def test_parameters_stand_with_both_deviations_and_their_bounds():
 def test_numbers_of_a_fit_that_failed_are_warned_of_first():
     flown = flight().flown
     failed = replace(flown.fit, status=OutputErrorStatus.LEFT_ENVELOPE, covariance=1e40 * flown.fit.covariance)
-    page = fly_page(replace(flown, fit=failed), context(("The fit failed: it left.",)))
-    assert [block.tone for block in page.lead] == ["warning"]
-    assert "Do not use the numbers" in page.lead[0].text
+    left = replace(flown, fit=failed)
+    page = fly_page(left, context(("The fit failed: it left.",), flown=left))
+    assert page.screen["Result"][1].text == "Do not use these numbers."
     estimates = [row[2] for row in blocks_of(page, "parameters")[0].rows]
     assert all(float(text) == pytest.approx(x, rel=0.01) for text, x in zip(estimates, failed.estimate, strict=True))
-    assert fly_page(flown, context()).lead[0].tone == "lead"
+    assert "RMS error" in fly_page(flown, context()).screen["Result"][1].text
 
 
 def test_errors_of_a_known_offset():
@@ -299,9 +302,9 @@ def test_a_simulation_that_is_lost_leaves_the_page_whole():
     gone = {"alpha": np.geomspace(1.0, 1e308, 200)}
     lost = replace(flown, paths=tuple(replace(p, simulated=gone, errors=errors) for p in flown.paths))
     assert page_table(error_table(lost)).rows[0][1:8] == ("–",) * 7
-    page = fly_page(lost, context())
+    page = fly_page(lost, context(flown=lost))
     assert not not_made(page)
-    assert "first values → fit: α\u00a0–" in page.lead[0].text
+    assert "first values → fit: α –" in page.screen["Result"][1].text
 
 
 def test_first_states_are_those_flown_and_a_linear_card_shows_its_own_channels():

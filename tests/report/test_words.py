@@ -29,7 +29,7 @@ from bayes_aero.report.pages import trajectories
 from bayes_aero.report.pages.diagnosis import change_sentences, changes_table, diagnosis_sentences
 from bayes_aero.report.pages.estimates import sign_sentences, verdict
 from bayes_aero.report.pages.fly import disagreement_sentences, fly_sentences, outside, parameter_table
-from bayes_aero.report.pages.identification import headline
+from bayes_aero.report.pages.identification import identification_screen
 from bayes_aero.report.phrases import WORDS, filled, is_doubtful, nats_text, not_testable_sentences, several
 
 
@@ -72,9 +72,9 @@ SAID = [  # how the run is made (None: as `full`), words of the one sentence, wh
     (WIDER, "weighs the data differently", None),
     (None, "mean function is wrong, or the residual", ["Cma (6.7)"]),  # 0.3 / hypot(0.02, 0.04)
     (WIDER, "mean function is wrong, or the residual", None),
-    (None, "Fitted alone", ["Cramér-Rao bound: Cmde (42.4)", "corrected bound: Cmde (10.6)"]),
-    ({"apart": {"Cmde": 3.0}}, "Fitted alone", None),
-    (SLIGHT, "Fitted alone", ["Cramér-Rao bound: Cmde (5.7); by the corrected bound: none"]),
+    (None, "fitted alone", ["Cramér-Rao bound: Cmde (42.4)", "corrected bound: Cmde (10.6)"]),
+    ({"apart": {"Cmde": 3.0}}, "fitted alone", None),
+    (SLIGHT, "fitted alone", ["Cramér-Rao bound: Cmde (5.7); by the corrected bound: none"]),
     (None, "No noise model alone explains", ["Cmde is -0.800 from flight1 and -1.400 from flight2", "lacks an effect"]),
     (SLIGHT, "No noise model alone", None),
     (None, "GPR correlation", ["neighbours 40 ms away"]),
@@ -94,10 +94,13 @@ def test_the_verdict_speaks_where_results_disagree_and_else_is_silent(made, word
         holds(sentence(run, words), *parts)
 
 
-def test_the_headline_names_what_noise_models_disagree_about(full, make):
+def test_the_screen_names_what_noise_models_disagree_about(full, make):
+    def doubts(run):
+        return str(identification_screen(run, run.card, run.records).doubts)
+
     assert "Cmde" not in sentence(full, "mean function is wrong, or the residual")
-    assert "noise models disagree about Cma" in headline(full)
-    assert "disagree" not in headline(make(**WIDER))
+    assert "maximum likelihood differ on Cma" in doubts(full)
+    assert "maximum likelihood differ" not in doubts(make(**WIDER))
 
 
 def test_engines_and_posteriors_that_disagree_or_did_not_finish(make):
@@ -127,7 +130,7 @@ def test_a_fit_that_failed_is_left_out_of_the_comparison(make):
     run = make(apart={"Cmde": -60.0})
     run.alone["flight2"] = replace(run.alone["flight2"], status=results.MleStatus.STALL_NOT_IDENTIFIED)
     assert "left out of the comparison" in sentence(run, "flight2 alone")
-    assert silent(run, "Fitted alone")
+    assert silent(run, "fitted alone")
     assert not silent(run, "intervals agree")
 
 
@@ -272,7 +275,7 @@ def leaves(words):
 # Simulations, one-step predictions, gusts and a fit to trajectories
 def test_the_gain_is_that_of_unseen_flights_and_else_nothing_is_said(simulated):
     """Both halves are 1 deg off with the card's model and 0.1 deg with the extended one."""
-    assert "α from 1.0 to 0.10 deg" in trajectories.simulation_gain(simulated)
+    assert "α 1.0 → 0.10 deg" in trajectories.simulation_gain(simulated)
     fitted = tuple(p for p in simulated.paths if p.split == "fitted")
     same = tuple(replace(p, errors=simulated.paths[0].errors) for p in simulated.paths)
     assert [trajectories.simulation_gain(replace(simulated, paths=paths)) for paths in (fitted, same)] == ["", ""]

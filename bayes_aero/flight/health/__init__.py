@@ -25,7 +25,10 @@ class HealthFinding:
     fault: str  # short key of the kind of fault, e.g. "frozen"
     begin: float | None  # first time that is concerned, s, as in the record; None where it is the whole record
     end: float | None  # last such time, s
-    sentence: str  # channel, when, what it looks like, how to mend it
+    claim: str  # what is wrong, in one sentence
+    why: str  # what it looks like, and by how much; may be empty
+    mend: str  # what to do about it
+    sentence: str  # the record and all three
     grave: bool  # whether results that rest on the channel cannot be trusted
 
 
@@ -38,12 +41,13 @@ def only_following(health: Iterable[HealthFinding]) -> tuple[str, ...]:
 
 
 def finding(
-    record: FlightRecord, channel: str, fault: str, sentence: str, at: tuple[int, int] | None = (0, -1), *,
-    grave: bool = True,
+    record: FlightRecord, channel: str, fault: str, claim: str, why: str, mend: str,
+    at: tuple[int, int] | None = (0, -1), *, grave: bool = True,
 ) -> HealthFinding:  # fmt: skip
     """A finding whose sentence begins with the record's name; `at` are its first and last sample."""
     begin, end = (None, None) if at is None else (float(record.time[at[0]]), float(record.time[at[1]]))
-    return HealthFinding(record.name, channel, fault, begin, end, f"{record.name}: {sentence}", grave)
+    sentence = f"{record.name}: {claim}{why}{f'; {mend}' if mend else ''}"
+    return HealthFinding(record.name, channel, fault, begin, end, claim, why, mend, sentence, grave)
 
 
 def declared(card: Card, name: str) -> Channel:
@@ -86,9 +90,9 @@ def when(record: FlightRecord, index: np.ndarray) -> str:
 def decided(record: FlightRecord, _card: Card) -> Findings:
     """Optional channels that no sound record could have and that were left out; text that could mean two things."""
     for name, why in record.dropped.items():
-        yield finding(record, name, "left_out", f"{why}; it is not required and was left out", None, grave=False)
+        yield finding(record, name, "left_out", why, "", "it is not required and was left out", None, grave=False)
     for remark in record.remarks:
-        yield finding(record, "record", "read", remark, None, grave=False)
+        yield finding(record, "record", "read", remark, "", "", None, grave=False)
 
 
 ENDS = 30  # samples at both ends together that the smoother (7) and the differentiator (8) distort
@@ -111,8 +115,9 @@ def short(record: FlightRecord, card: Card) -> Findings:
         least, has = np.ceil(10.0 * max(motion, ends)) / 10.0, np.floor(10.0 * lasts) / 10.0  # never the same number
         yield finding(
             record, "record", "short",
-            f"the record is too short: {has:g} s, and {least:g} s are needed ({why}); estimates can be off by several "
-            "standard errors, so give the whole manoeuvre with some seconds of trimmed flight before it",
+            f"the record is too short: {has:g} s, and {least:g} s are needed", f" ({why})",
+            "estimates can be off by several standard errors, so give the whole manoeuvre with some seconds of trimmed "
+            "flight before it",
         )  # fmt: skip
 
 
@@ -193,8 +198,9 @@ def different_rates(records: Sequence[FlightRecord]) -> Findings:
         listed = ", ".join(f"{r.name} {rate:.4g} Hz" for r, rate in zip(records, rates, strict=True))
         yield finding(
             records[i], "time", "rates",
-            f"the records have different sampling rates ({listed}): filters span samples, so derivatives and noise "
-            "differ between them; identify brings them to the lowest rate by default, elsewhere resample "
+            "the records have different sampling rates",
+            f" ({listed}): filters span samples, so derivatives and noise differ between them",
+            "identify brings them to the lowest rate by default, elsewhere resample "
             f"(--resample {1.0 / rates.min():.4g})", None,
         )  # fmt: skip
 
@@ -211,8 +217,8 @@ def same_records(records: Sequence[FlightRecord]) -> Findings:
     for original, copy in combinations(records, 2):
         if shared := repeats_of(original, copy):
             words, at = shared
-            words += ", so the flight counts twice and every interval is too narrow; give the flight once"
-            yield finding(copy, "record", "same_record", words, at)
+            why = ", so the flight counts twice and every interval is too narrow"
+            yield finding(copy, "record", "same_record", words, why, "give the flight once", at)
 
 
 def repeats_of(original: FlightRecord, copy: FlightRecord) -> tuple[str, tuple[int, int]] | None:

@@ -81,8 +81,8 @@ def control_responses(record: FlightRecord, card: Card) -> Findings:
         if record.has(surface):
             sign = -declared(card, surface).sign
             mend = f"so if the file counts {control.otherwise} write sign = {sign} at {surface} on the card"
-        sentence = f"{surface}: {control.answer} with it ({fit[0]:+.2g} 1/s^2 a rad); {control.rule}, {mend}"
-        yield finding(record, surface, "sign", sentence)
+        claim = f"{surface}: {control.answer} with it"
+        yield finding(record, surface, "sign", claim, f" ({fit[0]:+.2g} 1/s^2 a rad); {control.rule}", mend)
 
 
 def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
@@ -147,10 +147,11 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
         for record, (names, left) in moved:
             yield finding(
                 record, surface, "feedback",
-                f"{surface} follows the recorded {', '.join(names)}: all but {left}, which is within noise. The "
-                "feedback and the aircraft cannot be parted, and no derivative of this axis is usable. Fly an input of "
-                f"the pilot (a doublet, a multisine) to the {surface} beside the feedback, join a record that has one, "
-                "or fix the derivatives on the card that are known",
+                f"{surface} follows the recorded {', '.join(names)}",
+                f": all but {left}, which is within noise. The feedback and the aircraft cannot be parted, and no "
+                "derivative of this axis is usable",
+                f"fly a pilot's input to the {surface} beside the feedback, join a record that has one, or fix the "
+                "known derivatives on the card",
             )  # fmt: skip
 
 

@@ -511,9 +511,10 @@ def _bias(record: FlightRecord, card: Card, view: View, left: Misfits) -> Findin
     tilt = np.degrees(np.arcsin(min(abs(off) / GRAVITY, 1.0)))
     yield finding(
         record, "ay", "bias",
-        f"ay is off by {off:+.2g} m/s^2 ({off / GRAVITY:+.2g} g) in the mean: bank, turn and airspeed make "
-        f"{mean - off:+.2g} m/s^2, and {mean:+.2g} were recorded. It is a bias of the accelerometer, its tilt of "
-        f"{tilt:.2g} deg about the x axis, as much bias of the bank angle or, in a turn, a factor of the airspeed; "
+        f"ay is off by {off:+.2g} m/s^2 ({off / GRAVITY:+.2g} g) in the mean",
+        f": bank, turn and airspeed make {mean - off:+.2g} m/s^2, and {mean:+.2g} were recorded. It is a bias of the "
+        f"accelerometer, its tilt of {tilt:.2g} deg about the x axis, as much bias of the bank angle or, in a turn, a "
+        "factor of the airspeed",
         "take it out in the file, or add the effect accel_y_bias with its value under fixed on the card",
         grave=Axis.LATERAL in card.axes,
     )  # fmt: skip
@@ -527,9 +528,9 @@ def _finding(
     unit = "m/s^2 in the mean" if name in MEANS else {"altitude": "m", "airspeed": "m/s"}.get(name, "deg")
     scale = relation.allowed * (np.degrees(1.0) if unit == "deg" else 1.0)
     other = "".join(f", or {r.names} {r.looks}" for r in tied)
-    sentence = (
-        f"{best.names} {best.looks}{other}: the {relation.noun} differs by {scale * before[name]:.3g} {unit} from what "
-        f"the other channels imply, and by {scale * after[name]:.2g} once that is corrected; "
-        f"{', or '.join([best.mend, *(r.mend for r in tied if r.rivals(best))])}"
+    why = (
+        f": the {relation.noun} differs by {scale * before[name]:.3g} {unit} from what the other channels imply, and "
+        f"by {scale * after[name]:.2g} once that is corrected"
     )
-    return finding(record, best.channels[0], best.fault, sentence)
+    mend = ", or ".join([best.mend, *(r.mend for r in tied if r.rivals(best))])
+    return finding(record, best.channels[0], best.fault, f"{best.names} {best.looks}{other}", why, mend)

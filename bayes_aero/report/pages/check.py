@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health import Agreement
 from bayes_aero.report.page import HtmlTable, Plot, Report, fold, section
 from bayes_aero.report.pages import parts
-from bayes_aero.report.phrases import for_people, not_testable_sentences, sentence, several, unit_behind
+from bayes_aero.report.phrases import for_people, not_testable_sentences, sentence, unit_behind
 from bayes_aero.report.plots import COLOURS, Line, Panel, measured_panel
+from bayes_aero.report.screen import Screen, claims, doubts_of
 from bayes_aero.report.table import Column, Table, columns_of
 from bayes_aero.units import number
 
@@ -29,19 +29,24 @@ CHANNELS = (
 )  # fmt: skip
 
 
-def headline(report: CheckReport) -> str:
-    if report.usable:
-        able = [name for name, why in report.uses.items() if not why]
-        wrong = {
-            Agreement.EXPLAINED: f"; the sensors disagree ({several(report.sensors.errors)})",
-            Agreement.UNEXPLAINED: ", but the sensors disagree and no known error explains it",
-        }.get(report.consistency.agreement, "")
-        if any(finding.grave for finding in report.health):  # the apparent sensor error would be an error of the card
-            wrong = ", but first correct the card or the file: channels are faulty (see the warnings)"
-        return f"Usable for {', '.join(able)}{wrong}."
-    problems = [p for r in report.records for p in r.problems] or [f"{n}: {w}" for n, w in report.uses.items() if w]
-    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    return f"Not usable as it is: {problems[0]}{more}." if problems else "Not usable as it is."
+def check_screen(report: CheckReport) -> Screen:
+    """What each record is fit for, the faults of its channels, and what to do with it."""
+    sound = [r.record for r in report.records if r.record is not None]
+    record, mend = parts.record_block(sound, report.health, report.consistency)
+    problems = [f"{r.path}: {p}" for r in report.records for p in r.problems]
+    able = [name for name, why in report.uses.items() if not why]
+    unable = [f"{name}: {why}." for name, why in report.uses.items() if why]
+    shown = [sentence("usable", names=able)] if report.usable else [sentence("unusable")]
+    shown += [f"{name}: {error['claim']} {parts.error_sizes(error)}" for name, error in report.sensors.errors.items()]
+    untestable = [sentence("not_testable_count", n=len(report.not_testable))] if report.not_testable else []
+    found = parts.consistency_sentences(report.consistency, corrects=False)[1:]
+    given = " ".join([*(r.path for r in report.records), "--model", report.card.path or report.card.name])
+    then = [sentence("next_diagnose" if "diagnose" in able else "next_fly", given=given)] if report.usable else []
+    places = [f"{r.path}@{p.part}" for r in report.records for p in r.proposals if p.what == "manoeuvre"]
+    several_in_one = len(places) > len(report.records)
+    parts_of = [sentence("give_these", listed=parts.several(places, parts.MOST_FILES))] if several_in_one else []
+    doubts = [*problems, *report.failures, *claims(doubts_of(found)), *unable, *report.left_out, *untestable]
+    return Screen(record if sound else [], shown, doubts, [*mend, *parts_of, *then])
 
 
 def part_sentences(record: RecordReport) -> list[str]:
@@ -124,15 +129,16 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Report:
     sound = [r.record for r in report.records if r.record is not None]
     wrong = [f"{r.path}: {p}" for r in report.records for p in r.problems]
     more, *plots = recorded(sound)
+    faults, untestable = [*wrong, *report.cautions], parts.not_testable_list(report.not_testable)
     uses = [*use_sentences(report), *(text for r in report.records for text in part_sentences(r))]
     return Report(
         title=f"Record check: {report.card.title}",
         subtitle="Channels, units, sampling, and whether the sensors agree; no aerodynamics is fitted",
-        verdict=headline(report),
-        doubts=[parts.doubts(report.consistency), parts.warnings([*wrong, *report.cautions])],
+        verdict="",
+        screen=check_screen(report).blocks(),
         lead=plots[:1],
         sections=[
-            section("uses", "Use of the records", lambda: (uses, parts.not_testable_list(report.not_testable))),
+            section("uses", "Use of the records", lambda: (parts.warnings(faults), uses, untestable)),
             section("sensors", "Do the sensors agree?", lambda: _sensors(report)),
             section("records", "The records at a glance", lambda: sound and parts.at_a_glance(sound, report.card)),
             section("channels", "Source of each channel", lambda: _channels(report)),

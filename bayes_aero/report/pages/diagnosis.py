@@ -15,11 +15,16 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report.figures.diagnosis import coefficient_panels, telling
-from bayes_aero.report.page import Gallery, Report, Text, fold, section
+from bayes_aero.report.page import Gallery, Report, fold, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.pages.estimates import LIMIT, band_text, sign_sentences
 from bayes_aero.report.pages.qualification import points_sentences, points_table
-from bayes_aero.report.pages.trajectories import gust_sentences, simulation_gain, trajectories, trajectory_sentences
+from bayes_aero.report.pages.trajectories import (
+    gust_sentences,
+    simulation_gain,
+    trajectories,
+    trajectory_sentences,
+)
 from bayes_aero.report.phrases import (
     WORDS,
     amounts,
@@ -35,6 +40,7 @@ from bayes_aero.report.phrases import (
     symbol,
 )
 from bayes_aero.report.plots import MODELS, Panel
+from bayes_aero.report.screen import Screen, actions, claims, doubts_of
 from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, in_brackets, or_dash, table
 
 if TYPE_CHECKING:
@@ -52,6 +58,8 @@ if TYPE_CHECKING:
         View,
     )
     from bayes_aero.flight.card import Card
+    from bayes_aero.flight.record import FlightRecord
+    from bayes_aero.jobs.results import Outcome
 
 SHOWN = 4  # other terms that are named
 MAX_SIZED = 3  # causes whose sizes are in the verdict
@@ -226,21 +234,26 @@ def change_sentences(changes: Sequence[ParameterChange]) -> list[str]:
 
 def verdict_sentence(d: Diagnosis) -> str:
     """The causes that explain the model error, those that are only named, and the unexplained structure."""
-    sure = [c for c in d.causes if c.sure]
-    names = f": {several(_named(c, len(sure) <= MAX_SIZED) for c in sure)}{_doubtful(d)}"
+    sure, doubtful = [c for c in d.causes if c.sure], _doubtful(d)
+    names = f": {several(_named(c, len(sure) <= MAX_SIZED) for c in sure)}{doubtful}"
     changes = [f"{c.parameter} changes {'at' if c.between else 'in'} {c.manoeuvre}" for c in d.changes]
     structure = {
         f"{u.coefficient} {'between' if u.offsets else 'over'} {u.channel}{'s' if u.offsets else ''}" for u in d.unknown
     }
     unknown = several([*sorted(structure), *dict.fromkeys(changes)])
-    left = f" ({unknown})" if unknown else ""
+    return _verdict(d, names, f" ({unknown})" if unknown else "", doubtful)
+
+
+def _verdict(d: Diagnosis, names: str, left: str, doubtful: str) -> str:
+    """The verdict with or without names, structure that is left, and causes on which it does not rest."""
+    sure = sum(c.sure for c in d.causes)
     if d.tested is not None:
-        return _flown_verdict(d, d.tested, len(sure), names, left)
+        return _flown_verdict(d, d.tested, sure, names, left, doubtful)
     key = "nothing_explains" if d.verdict == "unexplained" and not d.causes else d.verdict.value
-    return sentence(f"verdict_{key}", n=len(sure), names=names, left=left, doubtful=_doubtful(d))
+    return sentence(f"verdict_{key}", n=sure, names=names, left=left, doubtful=doubtful)
 
 
-def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: str) -> str:
+def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: str, doubtful: str) -> str:
     """The same from trajectories alone: causes explain the error only if the residual is sensor noise."""
     sought = sentence("structure_remains" if d.unknown else "no_structure", left=left)
     sizes, where = "", ""
@@ -256,7 +269,7 @@ def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: st
         return f"{sentence(key, n=sure, names=names)} {rest}"
     first = "flown_no_reliable" if d.causes else "flown_no_improvement"
     more = f" {sentence('flown_undecided')}" if d.verdict == "undecided" else ""
-    return f"{sentence('flown_no_error' if d.verdict == 'no_effect' else first)}{_doubtful(d)}. {rest}{more}"
+    return f"{sentence('flown_no_error' if d.verdict == 'no_effect' else first)}{doubtful}. {rest}{more}"
 
 
 def _rms(output: str, value: float) -> str:
@@ -279,8 +292,9 @@ def _named(cause: Cause, sized: bool) -> str:
     return f"{cause.name} ({text})" if text else cause.name
 
 
-def _doubtful(d: Diagnosis) -> str:
-    reasons: dict[str, list[str]] = {}
+def _unsure(d: Diagnosis) -> dict[str, list[Cause]]:
+    """Causes on which the verdict does not rest, by the reason."""
+    reasons: dict[str, list[Cause]] = {}
     for cause in (c for c in d.causes if not c.sure):
         why = "named, but no more probable than its rivals"
         if cause.bounded:
@@ -289,8 +303,74 @@ def _doubtful(d: Diagnosis) -> str:
             why = "larger than on any aircraft: suspect another cause"
         elif not cause.confirmed:
             why = f"named, but not {'confirmed' if math.isfinite(cause.missed[0]) else 'tested'} on hold-out data"
-        reasons.setdefault(why, []).append(_named(cause, sized=False))
-    return "".join(f"; {why}: {several(names)}" for why, names in reasons.items())
+        reasons.setdefault(why, []).append(cause)
+    return reasons
+
+
+def _doubtful(d: Diagnosis) -> str:
+    named = {why: several(_named(cause, sized=False) for cause in some) for why, some in _unsure(d).items()}
+    return "".join(f"; {why}: {names}" for why, names in named.items())
+
+
+# --- The screen.
+
+
+def diagnosis_screen(result: Outcome, card: Card, records: Sequence[FlightRecord]) -> Screen:
+    """The causes on which the verdict rests, in the order in which an engineer mends them, and all doubts."""
+    d, flown = result.diagnosis, result.view.trajectories
+    record, mend = parts.record_block(records, result.health, result.consistency, corrects=d.by_coefficients)
+    sure = sorted((c for c in d.causes if c.sure), key=lambda c: CATALOGUE[c.name].stage if c.name in CATALOGUE else 0)
+    shown: list[str | Table] = [_verdict(d, "", "", "")]
+    shown += [sure_table(sure)] if sure else []
+    shown += [gain] if flown is not None and (gain := simulation_gain(flown)) else []
+    listed = findings(d, flown)
+    unsure = [sentence("unsure_cause", names=[c.name for c in some], why=why) for why, some in _unsure(d).items()]
+    messages = doubts_of([*unsure, *(text for texts in listed.values() for text in texts)])
+    messages = [m for m in messages if not m.key.startswith("verdict_")]
+    doubts = [*result.failures, *claims(messages)]
+    if hidden := result.hidden:
+        shown += revealed(hidden, result.named)
+    points = points_sentences(result.test_points)
+    later = [*points[:1], sentence("next_fly", given=parts.given(records, card))]
+    return Screen(record, shown, doubts, list(dict.fromkeys([*mend, *_edits(sure), *actions(messages), *later])))
+
+
+def sure_table(causes: Sequence[Cause]) -> Table:
+    """Each cause with its size, and the score on hold-out data that changes most."""
+    column = columns_of(causes)
+    return table(
+        "sure_causes",
+        [
+            column(
+                lambda c: several([c.name, *c.ambiguous_with]).replace(" and ", " or "), page="cause", terminal="cause"
+            ),
+            column(lambda c: c.claim.rstrip("."), page="what it means", terminal="what it means", words=True),
+            column(_sizes, page="size", terminal="size", words=True),
+            column(_most_changed, page="hold-out data", terminal="hold-out data"),
+        ],
+    )
+
+
+def _most_changed(c: Cause) -> str:
+    """R² before and after of the coefficient that gains most; what removal costs where there are no coefficients."""
+    gain = c.gain
+    changes = {n: (gain.before[n].r2, gain.after[n].r2) for n in gain.before if n in gain.after}
+    finite = {n: (a, b) for n, (a, b) in changes.items() if math.isfinite(a) and math.isfinite(b)}
+    if finite:
+        name, (before, after) = max(finite.items(), key=lambda item: abs(item[1][1] - item[1][0]))
+        return f"R² {name} {before:z.2f} → {after:z.2f}"
+    return f"{c.missed[0]:+z.0f} ± {c.missed[1]:.0f} nats" if math.isfinite(c.missed[0]) else NONE
+
+
+def _edits(causes: Sequence[Cause]) -> list[str]:
+    """How each cause is put on the card: effects of the aircraft are fitted, errors have their size."""
+    clear = {c.name: c for c in causes if not c.ambiguous_with}
+    known = [c for name, c in clear.items() if name in CATALOGUE and set(c.joint) <= set(clear)]
+    errors = [c for c in known if CATALOGUE[c.name].stage <= Stage.AIRCRAFT]
+    effects = [c for c in known if c not in errors]
+    fixed = [f"{n} = {x.mean:.4g}" for c in errors for n, x in c.parameters.items()]
+    listed = ((key, [f'"{c.name}"' for c in some]) for key, some in (("add_error", errors), ("add_effect", effects)))
+    return [sentence(key, names=names, fixed=fixed) for key, names in listed if names]
 
 
 def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
@@ -530,24 +610,20 @@ def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
         panel, manoeuvre, _ = telling(whole)
         captions["found"] = captions["found"].format(panel.name, manoeuvre)
     gallery = Gallery(context.figures, captions)
-    verdict, *rest = sentences(view)
-    shown = revealed(result.hidden, result.named) if result.hidden else []
-    shown += [] if view.trajectories is None else [simulation_gain(view.trajectories)]
-    lead: list[Any] = [Text(text, "lead") for text in shown if text]
-    lead.append(gallery("found") or gallery("measured_simulated"))
+    lead: list[Any] = [gallery("found") or gallery("measured_simulated")]
     if d.compared == "trajectories":
         lead.append("The record lacks channels from which lift, drag and moment coefficients are formed.")
     elif whole is not None and not context.figures:
         lead.append(WORDS["paragraphs"]["not_drawn"])
     residuals = "Residuals: size, composition, autocorrelation, calibration"
     drawn = gallery("residual_profiles", "residual_colour")
-    in_full = rest, parts.not_testable_list(d.not_testable)
+    in_full = sentences(view)[1:], parts.not_testable_list(d.not_testable)
     return Report(
         title=f"Diagnosis: {card.title}",
         subtitle=f"The model error, its causes, and the gain of the extended model{FROM_WHAT[d.compared]}",
-        verdict=verdict,
+        verdict="",
+        screen=diagnosis_screen(result, card, context.records).blocks(),
         lead=lead,
-        doubts=parts.doubts(result.consistency, result.health, result.failures, corrects=whole is not None),
         sections=[
             parts.records_section(card, context.records, result.health),
             section("causes", "Causes of the model error", lambda: _causes(view, context)),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_aero.report.page import Gallery, Report, Text, section
+from bayes_aero.report.page import Gallery, Report, section
 from bayes_aero.report.pages import estimates, parts, trajectories
 from bayes_aero.report.phrases import (
     WORDS,
@@ -17,6 +17,8 @@ from bayes_aero.report.phrases import (
     axis_label,
     decimals,
     for_people,
+    plain_unit,
+    plus_minus,
     sentence,
     several,
     short,
@@ -25,16 +27,21 @@ from bayes_aero.report.phrases import (
     unparted,
 )
 from bayes_aero.report.plots import FLOWN, LOW, Panel, measured_panel, output_panels
+from bayes_aero.report.screen import Screen, actions, claims, doubts_of
 from bayes_aero.report.table import NONE, Column, Estimate, Table, in_brackets, or_dash, parameter_columns, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import Disagreement, Motion, TrajectoryFit
+    from bayes_aero.flight.card import Card
+    from bayes_aero.flight.record import FlightRecord
+    from bayes_aero.jobs.results import Flight
     from bayes_aero.parameter import Prior
 
 START, FITTED = FLOWN
 MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
 MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
+MOST_ERRORS = 4  # outputs of which the screen gives the errors
 MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 
 
@@ -78,6 +85,43 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
     return sentences
 
 
+def fly_screen(result: Flight, card: Card, records: Sequence[FlightRecord]) -> Screen:
+    """Errors before and after the fit, every parameter with its corrected standard error, and what is doubtful."""
+    flown, fit, beside = result.flown, result.flown.fit, result.process_noise
+    sensors = None if flown.of_path else result.consistency
+    record, mend = parts.record_block(records, result.health, sensors)
+    filtered = beside is not None and beside.converged
+    units = [plain_unit(p.unit) for p in fit.parameters]
+    fitted = list(map(Estimate, map(float, fit.estimate), map(float, fit.sd_corrected)))
+    columns = [
+        Column(fit.names, page="parameter", terminal="parameter"),
+        Column(units, page="unit", terminal="unit"),
+        Column([float(x) for x in flown.start], page="first value", terminal="first value", form=4),
+        Column(fitted, page="output error", terminal="output error", form=_plus_minus),
+    ]
+    if beside is not None and filtered:
+        both = [Estimate(*beside.estimates[n]) if n in beside.estimates else None for n in fit.names]
+        columns.append(Column(both, page="process noise", terminal="process noise", form=_plus_minus))
+    status = unparted(fit.status.value, flown.following)
+    errors = {n: amounts(flown.units[n], *pair) for n, pair in flown.rms_errors.items()}
+    listed = [f"{symbol(n)} {before} → {after}{unit}" for n, (before, after, unit) in errors.items()]
+    more = f" and {len(listed) - MOST_ERRORS} more" if len(listed) > MOST_ERRORS else ""
+    shown: list[str | Table] = [sentence("flown_fit", status=status)]
+    if flown.converged:
+        shown += [sentence("flown_errors", listed=f"{', '.join(listed[:MOST_ERRORS])}{more}")]
+    else:
+        shown += [sentence("not_converged")]
+    shown += [Table(columns)]
+    messages = doubts_of(result.sentences)
+    then = "next_diagnose" if flown.by_effects else "next_qualify"
+    more_actions = [sentence(then, given=parts.given(records, card))] if flown.converged else []
+    return Screen(record, shown, [*result.failures, *claims(messages)], [*mend, *actions(messages), *more_actions])
+
+
+def _plus_minus(e: Estimate) -> str:
+    return plus_minus(e.centre, e.sd) if math.isfinite(e.sd) else NONE
+
+
 def _settings(flown: TrajectoryFit) -> list[str]:
     outputs, setting = [symbol(name) for name in flown.fit.flown.outputs], flown.setting
     how = [] if setting.priors else ["without priors"]
@@ -97,7 +141,7 @@ def disagreement_sentences(disagree: Sequence[Disagreement], hindered: str = "")
         return []
     listed = [sentence("two_values", d=d, unit=unit_behind(d.unit)) for d in disagree]
     look = "check looks for an error of a sensor" if hindered else "check and diagnose look for the last two"
-    return [sentence("coefficients_disagree", listed=listed, look=look)]
+    return [sentence("coefficients_disagree", names=[d.name for d in disagree], listed=listed, look=look)]
 
 
 def outside(flown: TrajectoryFit) -> dict[str, float]:
@@ -238,7 +282,6 @@ def mode_table(motion: Motion) -> Table:
 
 def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
     result = context.result
-    verdict, *rest = result.sentences
     card, motion = context.card, result.motion
     units = {name: flown.units[name] for name in flown.outputs}
     gallery = Gallery(context.figures, WORDS["captions"])
@@ -259,11 +302,11 @@ def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
     return Report(
         title=f"{title}: {card.title}",
         subtitle=subtitle,
-        verdict=verdict,
-        doubts=parts.doubts(result.consistency, result.health, result.failures),
-        lead=[_lead(flown)],
+        verdict="",
+        screen=fly_screen(result, card, context.records).blocks(),
+        lead=[],
         sections=[
-            section("findings", "Findings", lambda: ([*rest, *result.notes], parts.terms("terms_of_fly"))),
+            section("findings", "Findings", lambda: ([*result.sentences, *result.notes], parts.terms("terms_of_fly"))),
             parts.records_section(card, context.records, result.health),
             section("fit", "Measured and simulated", lambda: _flights(flown, units)),
             section("errors", "Errors", lambda: (error_table(flown), trajectories.sources(card, units))),
@@ -286,17 +329,6 @@ def _parameters(flown: TrajectoryFit, context: parts.PageContext, gallery: Galle
         parts.symbols(context.card, fit.parameters, fit.names),
         initial_table(flown),
     ]
-
-
-def _lead(flown: TrajectoryFit) -> Text:
-    """The gain at once: error at first values and of the fit, all manoeuvres together; a warning if it failed."""
-    if not flown.converged:
-        return Text("Do not use the numbers on this page: the fit stopped there without converging.", "warning")
-    listed = []
-    for output, pair in flown.rms_errors.items():
-        before, after, unit = amounts(flown.units[output], *pair)
-        listed.append(f"{symbol(output)} {before} → {after}{unit}".replace(" ", "\u00a0"))  # never broken
-    return Text(f"Root-mean-square error of the simulation, first values → fit: {several(listed)}.", "lead")
 
 
 def _flights(flown: TrajectoryFit, units: Mapping[str, str]) -> list[Any]:

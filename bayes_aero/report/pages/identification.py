@@ -17,8 +17,9 @@ from bayes_aero.report.pages import estimates, parts
 from bayes_aero.report.pages.estimates import label_of, ordered, unit_of
 from bayes_aero.report.pages.parts import DEG, interval
 from bayes_aero.report.pages.trajectories import given_flights
-from bayes_aero.report.phrases import WORDS, from_to, plus_minus, sentence, several, unparted
+from bayes_aero.report.phrases import WORDS, from_to, plain_unit, plus_minus, sentence, several, unparted
 from bayes_aero.report.plots import Panel, compared_panel
+from bayes_aero.report.screen import Screen, actions, claims, doubts_of
 from bayes_aero.report.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns, table
 from bayes_aero.units import number
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bayes_aero.diagnosis.result import SimulatedManoeuvre
+    from bayes_aero.flight.card import Card
+    from bayes_aero.flight.record import FlightRecord
     from bayes_aero.inference.results import Identification
 
 ON_TERMINAL, ON_PAGE = 3, 4  # manoeuvres that are shown one by one; of more only the scatter
@@ -62,6 +65,34 @@ def parameter_table(run: Identification) -> Table:
     remark = " “True” are the values with which the records were simulated." if truth else ""
     status = unparted(mle.status.name.lower().replace("_", " "), only_following(run.health))
     return table("parameters", columns, dense=True, known=remark, card=run.card.title, status=status)
+
+
+def identification_screen(run: Identification, card: Card, records: Sequence[FlightRecord]) -> Screen:
+    """Every parameter with its standard error by maximum likelihood and by the posterior, and what is doubtful."""
+    mle, (_, corrected, *sampled) = run.mle, estimates.methods(run)
+    record, mend = parts.record_block(records, run.health, run.consistency)
+    names = ordered(mle.names, mle.parameters)
+    chosen = next((m for m in sampled if m.key == next(iter(estimates.chosen_posteriors(run)), None)), None)
+    columns = [
+        Column(names, page="parameter", terminal="parameter"),
+        Column([plain_unit(unit_of(run, n)) for n in names], page="unit", terminal="unit"),
+        Column(corrected.of(names), page="maximum likelihood", terminal="maximum likelihood", form=_plus_minus),
+        *([Column(chosen.of(names), page=chosen.label, terminal=chosen.label, form=_plus_minus)] if chosen else []),
+    ]
+    status = unparted(mle.status.value, only_following(run.health))
+    R2 = ", ".join(f"{name} {number(of.r2, 3)}" for name, of in mle.fit.items())
+    shown: list[str | Table] = [sentence("identified", status=status, R2=R2)]
+    if run.stall is not None and run.stall.seen:
+        peak = {"CL": interval(run.stall.CL_max, 1.0, 2), "alpha": interval(run.stall.alpha_max, DEG, 1)}
+        shown.append(sentence("headline_stall", **peak))
+    shown += [Table(columns)] if estimates.usable(mle) else [sentence("no_parameters")]
+    messages = doubts_of(estimates.verdict(run))
+    more = [sentence("next_diagnose", given=parts.given(records, card))]
+    return Screen(record, shown, [*run.failures, *claims(messages)], [*mend, *actions(messages), *more])
+
+
+def _plus_minus(e: Estimate) -> str:
+    return plus_minus(e.centre, e.sd)
 
 
 def _sd(e: Estimate) -> str:
@@ -201,13 +232,13 @@ def identification_page(
     return Report(
         title=f"Identification: {run.card.title}",
         subtitle="Aerodynamic model identified from flight data, with uncertainty",
-        verdict=headline(run),
+        verdict="",
+        screen=identification_screen(run, run.card, run.records).blocks(),
         lead=[
             parts.warnings(estimates.unfinished(run.posteriors)),
             gallery("stall") or gallery("crb_vs_credible"),
             "" if figures else WORDS["paragraphs"]["not_drawn"],
         ],
-        doubts=parts.doubts(run.consistency, run.health, run.failures),
         sections=[
             section("findings", "Findings", lambda: (findings, parts.terms("glossary"))),
             parts.records_section(run.card, run.records, run.health),
@@ -230,28 +261,6 @@ def _captions(run: Identification) -> dict[str, str]:
         captions |= {f"{kind}_{engine}": captions[kind].format(label_of(engine)) for kind in ("trace", "rank")}
     captions |= {CORRELATIONS[c]: captions["correlation"].format(c) for c in run.mle.fit}
     return captions
-
-
-def headline(run: Identification) -> str:
-    mle = run.mle
-    if not estimates.usable(mle):
-        return f"No parameters can be given: {mle.status.value}."
-    if following := only_following(run.health):
-        return f"No derivative of this axis can be given: {unparted(mle.status.value, following)}."
-    fit = several(f"{mle.fit[name].r:.3f} ({name})" for name in mle.fit)
-    text = f"The model follows the measured coefficients with correlations of {fit}"
-    if run.stall is not None and run.stall.seen:
-        peak = {"CL": interval(run.stall.CL_max, 1.0, 2), "alpha": interval(run.stall.alpha_max, DEG, 1)}
-        text += sentence("headline_stall", **peak)
-    elif run.stall is not None:
-        text += "; the records do not show the angle of the steady stall"
-    crb, corrected = (m.estimates for m in estimates.methods(run)[:2])
-    ratios = [corrected[n].sd / crb[n].sd for n in crb if crb[n].sd > 0.0 and np.isfinite(corrected[n].sd)]
-    if ratios and np.median(ratios) > estimates.FACTOR:
-        text += f"; Cramér–Rao bounds are about {np.median(ratios):.1f} times too small"
-    if unsure := estimates.disputed(run):
-        text += f"; noise models disagree about {several(unsure)} beyond their intervals, so these are not reliable"
-    return text + "."
 
 
 def _fit(run: Identification) -> list[Any]:

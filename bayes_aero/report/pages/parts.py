@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,7 +12,7 @@ from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import Agreement, Consistency, HealthFinding, OpenError
 from bayes_aero.physics.aircraft import Axis
-from bayes_aero.report.page import Block, Facts, Fold, HtmlTable, Plot, Section, Text, blocks, fold, section
+from bayes_aero.report.page import Facts, Fold, HtmlTable, Plot, Section, Text, fold, section
 from bayes_aero.report.phrases import (
     WORDS,
     axis_label,
@@ -60,17 +61,18 @@ def _answer(sensors: Consistency, *, corrects: bool) -> str:
         sizes = {"rms": factor * d.rms, "permitted": factor * d.permitted, "description": standard.description}
         listed.append(sentence("departure", d=d, **span, **sizes))
     listed += [f"and {len(departures) - SHOWN} more"] if len(departures) > SHOWN else []
-    where, errors = "; ".join(listed), []
+    where, errors, names = "; ".join(listed), [], dict.fromkeys(d.channel for d in departures)
     for name, error in (sensors.errors or {}).items():
         joint = joint_text(error.get("joint", {}))
         together = f"; estimated together with {joint}: neither holds alone" if joint else ""
         errors.append(f"{name} ({error_sizes(error)}{together})")
     if sensors.agreement is Agreement.EXPLAINED:
-        mend = "it is corrected here" if corrects else "it is not corrected here; diagnose corrects it"
-        return sentence("disagree_explained", mend=mend, errors=errors, where=where)
+        mend = "It is corrected here" if corrects else "It is not corrected here, diagnose corrects it"
+        names = list(sensors.errors or {})
+        return sentence("disagree_explained", names=names, mend=mend, errors=errors, where=where)
     beside = f", after correction for {several(errors)}" if errors else ""
     unsought = f" Known errors could not be tested: {sensors.unsought}." if sensors.unsought else ""
-    return sentence("disagree_unexplained", where=where, beside=beside, unsought=unsought)
+    return sentence("disagree_unexplained", names=names, where=where, beside=beside, unsought=unsought)
 
 
 def joint_text(joint: Mapping[str, float]) -> str:
@@ -83,7 +85,7 @@ def open_sentences(sensors: Consistency) -> list[str]:
     if sought := [e for e in sensors.open if e.asked]:
         imitated = {e.name: sentence("imitated", e=e, among=_among(e)) if e.imitators else "" for e in sought}
         listed = "; ".join(f"{sizes[name]}{others}" for name, others in imitated.items())
-        sentences.append(sentence("unconfirmed", listed=listed))
+        sentences.append(sentence("unconfirmed", names=[e.name for e in sought], listed=listed))
     if either := [e for e in sensors.open if e.imitators and e.name in (sensors.errors or {})]:
         listed = (f"{e.name} or {several(e.imitators)} (± {_among(e)} of {e.name} if all are possible)" for e in either)
         sentences.append(sentence("same_effect", listed="; ".join(listed)))
@@ -112,19 +114,59 @@ def warnings(sentences: Iterable[str]) -> list[Text]:
     return [Text(text, "warning") for text in sentences]
 
 
-def doubts(
+# --- The first block of a screen: whether the record is fit for use, or what to mend first.
+
+MOST_FAULTS = 2  # lines
+MOST_FILES = 3  # that are named
+
+
+def fault_lines(health: Iterable[HealthFinding]) -> list[tuple[str, str]]:
+    """One line for all faults of a kind, over records and channels, and how to mend it."""
+    by_kind: dict[str, list[HealthFinding]] = {}
+    for finding in health:
+        by_kind.setdefault(finding.fault, []).append(finding)
+    lines = []
+    for same in by_kind.values():
+        records, claims = (list(dict.fromkeys(x)) for x in ([f.record for f in same], [f.claim for f in same]))
+        if len(claims) == 1:
+            where = sentence("in_records", n=len(records))
+            text = f"{claims[0]} {where}." if len(records) > 1 else f"{records[0]}: {claims[0]}."
+        else:
+            channels = several(dict.fromkeys(f.channel for f in same), SHOWN)
+            text = sentence("more_of_kind", claim=f"{same[0].record}: {claims[0]}", n=len(same) - 1, channels=channels)
+        lines.append((text, same[0].mend))
+    return lines
+
+
+def record_block(
+    records: Sequence[FlightRecord],
+    health: Sequence[HealthFinding],
     sensors: Consistency | None,
-    health: Sequence[HealthFinding] = (),
-    failures: Sequence[str] = (),
     *,
     corrects: bool = False,
-) -> list[Block]:
-    """First part of a page: failed parts of the job, disagreement of the sensors, and faulty channels."""
-    answer = []
-    if sensors is not None and sensors.agreement is not Agreement.AGREE:
-        answer = consistency_sentences(sensors, corrects=corrects)[:1]
-    faults = (f"{finding.sentence}." for finding in health if finding.grave)
-    return [*warnings(failures), *blocks(*answer), *warnings(faults)]
+) -> tuple[list[str], list[str]]:
+    """Whether the records can be trusted, in lines, and what to mend first."""
+    grave, harmless = fault_lines(f for f in health if f.grave), sum(not f.grave for f in health)
+    answer = [] if sensors is None else consistency_sentences(sensors, corrects=corrects)[:1]
+    explained = sensors is not None and corrects and sensors.agreement is Agreement.EXPLAINED
+    disagree = sensors is not None and sensors.disagrees and not explained
+    seconds = number(sum(float(r.time[-1] - r.time[0]) for r in records), 3)
+    rates = several(dict.fromkeys(f"{1.0 / r.dt:.3g}" for r in records))
+    state = "not_fit" if grave or disagree else "fit"
+    lines = [sentence(state, n=len(records), seconds=seconds, rates=rates)]
+    lines += [text for text, _ in grave[:MOST_FAULTS]]
+    lines += [sentence("more_faults", n=len(grave) - MOST_FAULTS)] if len(grave) > MOST_FAULTS else []
+    lines += [getattr(text, "claim", text) for text in answer]
+    lines += [sentence("harmless", n=harmless)] if harmless else []
+    repairs = [*(do for _, do in grave), *(getattr(text, "do", "") for text in answer if disagree)]
+    return lines, [do for do in repairs if do]
+
+
+def given(records: Sequence[FlightRecord], card: Card) -> str:
+    """Records and card as the next command is given them; `RECORDS` for parts of files and for many."""
+    files = [shlex.quote(r.source) for r in records if "." in r.source and ", " not in r.source]
+    listed = files if len(files) == len(records) <= MOST_FILES else ["RECORDS"]
+    return " ".join([*listed, "--model", shlex.quote(card.path or card.name)])
 
 
 class PageContext(NamedTuple):
@@ -169,9 +211,9 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Any, ...]:
 
 
 def records_section(card: Card, records: Sequence[FlightRecord], health: Sequence[HealthFinding]) -> Section:
-    """`at_a_glance`, and faults of channels that no result uses; the other faults are in `doubts`."""
-    minor = [f"{finding.sentence}." for finding in health if not finding.grave]
-    return section("records", "The records at a glance", lambda: (minor, at_a_glance(records, card)))
+    """`at_a_glance`, and all faults of channels."""
+    grave, minor = ([f"{finding.sentence}." for finding in health if finding.grave is x] for x in (True, False))
+    return section("records", "The records at a glance", lambda: (warnings(grave), minor, at_a_glance(records, card)))
 
 
 def symbols(card: Card, parameters: Iterable[Parameter], names: Iterable[str], *, degrees: bool = False) -> Fold | None:

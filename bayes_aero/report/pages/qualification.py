@@ -11,6 +11,7 @@ from bayes_aero.report.page import Facts, HtmlTable, Report, fold, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.phrases import WORDS, amounts, for_people, sentence, several, symbol, unit_behind
 from bayes_aero.report.plots import COLOURS, LOW, Line, Panel
+from bayes_aero.report.screen import Screen, actions, claims, doubts_of
 from bayes_aero.report.table import NONE, Column, Table, columns_of, table
 from bayes_aero.units import number
 
@@ -194,13 +195,14 @@ def _excess(o: Outside) -> str:
     return ", ".join(f"{symbol(name)} {x:+.2g}{unit_behind(units[name][0])}" for name, x in shown.items())
 
 
-def verdict_sentence(q: Qualification) -> str:
-    """The model's verdict, and the tolerances that decide it."""
-    by: dict[str, list[str]] = {"passes": [], "undecided": [], "fails": []}
-    for name, (half, _) in q.tolerances.items():
-        by[q.verdict(name).value].append(band(name, half))
-    listed = [f"{word.capitalize()}: {several(names)}" for word, names in by.items() if names]
-    return f"{sentence(f'model_{q.whole.value}')} {'. '.join(listed)}."
+def qualification_screen(q: Qualification, result: str = "RESULT") -> Screen:
+    """The verdict for each tolerance, with the probabilities to pass."""
+    record, mend = parts.record_block((), q.health, q.consistency)
+    messages = doubts_of([*sentences(q), *further_sentences(q.further)])
+    points = [] if q.further is None else _order_sentence([asdict(p) for p in q.further.points])
+    shown = [sentence(f"model_{q.whole.value}"), verdict_table(q)]
+    export = [sentence("next_export", result=result)] if q.whole.value == "passes" else []
+    return Screen(record, shown, claims(messages), [*mend, *points, *actions(messages), *export])
 
 
 def sentences(q: Qualification) -> tuple[str, ...]:
@@ -247,8 +249,9 @@ def qualification_page(q: Qualification, card: Card, source: Mapping[str, Any]) 
     return Report(
         title=f"Qualification: {card.title}",
         subtitle="Probability that the simulation stays inside its tolerances",
-        verdict=verdict_sentence(q),
-        lead=[parts.doubts(q.consistency, q.health), verdict_table(q), list(sentences(q)), signature],
+        verdict="",
+        screen=qualification_screen(q).blocks(),
+        lead=[signature, list(sentences(q))],
         sections=[
             section("further", "What would decide the rest", lambda: (list(further_sentences(further)), what)),
             section("strips", "Strips", lambda: (about, strips("AGAIN", "TEST"), fold(same, strips("NEXT")[1:]))),

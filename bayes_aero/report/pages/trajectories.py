@@ -36,25 +36,27 @@ if TYPE_CHECKING:
     from bayes_aero.flight.card import Card
     from bayes_aero.inference.results import OneStep, Posterior
 
+MOST_OUTPUTS = 3  # whose errors are in the sentence on the gain
 SI = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
 
 
 def simulation_gain(flown: Trajectories) -> str:
-    """RMS errors of both models over all hold-out flights; empty if they are equal or a model leaves the envelope."""
-    unseen, listed = [p for p in flown.paths if p.split == "hold_out"], []
+    """RMS errors of both models over all hold-out flights, of the outputs that change most; empty if they are equal or
+    a model leaves the envelope."""
+    unseen, errors = [p for p in flown.paths if p.split == "hold_out"], {}
     for output in flown.outputs:
         rms = [[p.errors[output].rms for p in unseen if p.model == model] for model in MODELS]
         if not all(p.inside for p in unseen) or not all(rms) or not all(np.isfinite(of).all() for of in rms):
             return ""
-        joint = (float(np.sqrt(np.mean(np.square(of)))) for of in rms)
-        before, after, unit = amounts(SI[output], *joint)
-        listed += [f"{symbol(output)} from {before} to {after}{unit}"] if before != after else []
+        errors[output] = [float(np.sqrt(np.mean(np.square(of)))) for of in rms]
+    most = sorted(errors, key=lambda n: -abs(math.log(errors[n][1] / errors[n][0])))[:MOST_OUTPUTS]
+    both = {n: amounts(SI[n], *errors[n]) for n in errors if n in most}
+    listed = [f"{symbol(n)} {x[0]} → {x[1]}{x[2]}" for n, x in both.items() if x[0] != x[1]]
     if not listed:
         return ""
     besides = [f"with {flown.lag.effect}"] if flown.lag is not None and flown.lag.kept else []
     besides += [f"without {several(flown.out)}"] if flown.out else []
-    gain = sentence("simulation_gain", model=f" ({several(besides)})" if besides else "", listed=listed)
-    return " ".join([gain, *status_sentences(flown)])
+    return sentence("simulation_gain", model=f" ({several(besides)})" if besides else "", listed=listed)
 
 
 def trajectory_sentences(flown: Trajectories) -> list[str]:
