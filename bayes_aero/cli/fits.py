@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from bayes_aero.report.screen import Screen
     from bayes_aero.study.run import Planned, Study, Unit, UnitRunner
 
-FIRST = 22  # lines of what diagnose answers first: trajectories may change it
+FIRST = 24  # lines of what diagnose answers first: trajectories may change it
 MOST = 5  # candidates of each stage on a terminal, where there is no cause
 
 

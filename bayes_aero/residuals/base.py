@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array, eye_array
 
 from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.effect import Effect, Stage
@@ -18,7 +17,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights, cuts_of
 from bayes_aero.physics.aircraft import Aircraft, Axis
-from bayes_aero.physics.filters import FILTER_STEP, SHORT_SMOOTHER, SPENCER, differentiate_joined, inside_joined
+from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
 from bayes_aero.physics.kinematics import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
 from bayes_aero.units import number
 
@@ -278,25 +277,6 @@ class FlightPathError(Blockwise):
         return {}
 
     @cached_property
-    def _smoothed_means(self) -> Any:
-        """Of smoothed series: `block` of `smooth_joined` as one sparse matrix, (m, n)."""
-        n, lengths = self.flights.n, self.flights.lengths
-        inside = inside_joined(n, self.flights.channels["first"], self.flights.channels["last"])
-        rows = np.concatenate([np.arange(k) // FILTER_STEP < k // FILTER_STEP for k in lengths])
-        place = np.cumsum(rows) - 1
-        means = csr_array((np.full(rows.sum(), 1.0 / FILTER_STEP), (place[rows] // FILTER_STEP, np.flatnonzero(rows))))
-        means.resize(len(self.manoeuvre), n)
-        smoothing = csr_array((n, n))
-        for mask, kernel in (
-            (inside >= 7, SPENCER),
-            ((inside >= 3) & (inside < 7), SHORT_SMOOTHER),
-            (inside < 3, (1.0,)),
-        ):
-            band = sum(weight * eye_array(n, k=k - len(kernel) // 2) for k, weight in enumerate(kernel))
-            smoothing = smoothing + csr_array(band) * mask[:, None]
-        return means @ csr_array(smoothing)
-
-    @cached_property
     def _recorded_slopes(self) -> dict[str, Float[np.ndarray, " n"]]:
         ends = [self.flights.channels[name] for name in ("dt", "first", "last")]
         return {name: differentiate_joined(self.flights.channels[name], *ends) for name in RATES}
@@ -336,7 +316,7 @@ class FlightPathError(Blockwise):
             scales[name] = (up - down) / (2.0 * step)
         aircraft = model.actual_aircraft(values, f.aircraft)
         residuals = differences(self.outputs, signals, aircraft, scales, tuple(sines))
-        residual = self._smoothed_means @ residuals
+        residual = self.block(np.stack([smooth_joined(x, *ends[1:]) for x in residuals.T], axis=1))
         residual.flags.writeable = False
         self._cache[key] = residual
         while len(self._cache) > CACHE_SIZE:
