@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from bayes_aero.report.screen import Screen
     from bayes_aero.study.run import Planned, Study, Unit, UnitRunner
 
-FIRST = 24  # lines of what diagnose answers first: trajectories may change it
+CHANGES = 8  # lines for what trajectories change of the first answer of diagnose
 MOST = 5  # candidates of each stage on a terminal, where there is no cause
 
 
@@ -77,9 +78,7 @@ def identify(
             console.print(next_flight_table(identification).terminal())
         terminal.print_lines(console, verdict(identification), identification.notes)
 
-    def screen() -> Screen:
-        return identification_screen(identification, card, flights)
-
+    screen = identification_screen(identification, card, flights)
     file = out / "results.json" if json else None
     terminal.conclude(screen, [f"Results are in {out}"], identification, everything, verbose=verbose, json=file)
 
@@ -107,15 +106,8 @@ def diagnose(
     with terminal.loading():
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
         from bayes_aero.jobs.preparing import refuse_existing, write_effects
-        from bayes_aero.report.pages.diagnosis import (
-            causes_table,
-            diagnosis_screen,
-            in_band_sentences,
-            screen_table,
-            sentences,
-        )
-        from bayes_aero.report.pages.qualification import points_sentences
-        from bayes_aero.report.pages.trajectories import hold_out_table
+        from bayes_aero.report.pages.diagnosis import diagnosis_screen
+        from bayes_aero.report.screen import LINES
 
     if write_effect is not None:
         refuse_existing(write_effect)
@@ -129,32 +121,37 @@ def diagnose(
 
         def answer(first: Outcome) -> None:
             shown.append(diagnosis_screen(first, card, flights))
-            terminal.print_screen(shown[0], FIRST, quiet=json)
+            terminal.print_screen(shown[0], LINES - CHANGES, quiet=json)
 
         outcome = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell, answer=answer)
-    d, rankings = outcome.diagnosis, outcome.view.rankings
-    names = [record.name for record in flights]
-    written = [] if write_effect is None else [write_effects(d.terms, names, write_effect)]
-
-    def everything(console: Console) -> None:
-        verdict, *rest = sentences(outcome.view)
-        console.print(verdict, highlight=False, style="bold")
-        if d.causes or rankings:
-            first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
-            console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
-        if outcome.view.trajectories is not None:
-            console.print(hold_out_table(outcome.view.trajectories, brief=True).terminal())
-        more = (*in_band_sentences(outcome.in_band), *points_sentences(outcome.test_points))
-        terminal.print_lines(console, (*rest, *more), outcome.notes)
-
-    def changes() -> Screen | None:
-        changed = diagnosis_screen(outcome, card, flights).changes(shown[0])
-        return changed if any((changed.result, changed.doubts, changed.next)) else None
-
-    lines, file = (*written, f"Results are in {out}"), out / "diagnosis.json" if json else None
+    terms, names = outcome.diagnosis.terms, [record.name for record in flights]
+    written = [] if write_effect is None else [write_effects(terms, names, write_effect)]
+    changed = diagnosis_screen(outcome, card, flights).changes(shown[0])
+    if changed.result or changed.doubts or changed.next:
+        terminal.print_screen(changed, CHANGES, quiet=json)
     # Trajectories alone are fitted to the record as it is.
-    corrects = d.by_coefficients
-    terminal.conclude(changes, lines, outcome, everything, verbose=verbose, json=file, corrects=corrects)
+    terminal.conclude(
+        None, (*written, f"Results are in {out}"), outcome, partial(print_diagnosis, outcome), verbose=verbose,
+        json=out / "diagnosis.json" if json else None, corrects=outcome.diagnosis.by_coefficients,
+    )  # fmt: skip
+
+
+def print_diagnosis(outcome: Outcome, console: Console) -> None:
+    """All that a diagnosis has found."""
+    from bayes_aero.report.pages.diagnosis import causes_table, in_band_sentences, screen_table, sentences
+    from bayes_aero.report.pages.qualification import points_sentences
+    from bayes_aero.report.pages.trajectories import hold_out_table
+
+    d, rankings = outcome.diagnosis, outcome.view.rankings
+    verdict, *rest = sentences(outcome.view)
+    console.print(verdict, highlight=False, style="bold")
+    if d.causes or rankings:
+        first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
+        console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
+    if outcome.view.trajectories is not None:
+        console.print(hold_out_table(outcome.view.trajectories, brief=True).terminal())
+    more = (*in_band_sentences(outcome.in_band), *points_sentences(outcome.test_points))
+    terminal.print_lines(console, (*rest, *more), outcome.notes)
 
 
 @terminal.with_options
@@ -237,11 +234,8 @@ def conclude_fit(
             console.print(table.terminal())
         terminal.print_lines(console, flight.sentences, flight.notes)
 
-    def screen() -> Screen:
-        return of_fit.fly_screen(flight, card, records)
-
     terminal.conclude(
-        screen, [f"Results are in {out}"], flight, everything, verbose=verbose,
+        of_fit.fly_screen(flight, card, records), [f"Results are in {out}"], flight, everything, verbose=verbose,
         json=out / RESULTS if json else None, compared=compared, failed=not flown.converged, doubtful=doubtful,
     )  # fmt: skip
 
@@ -343,9 +337,7 @@ def qualify(
         origins = [f"{name}: {text}" for name, text in qualification.origins.items()]
         terminal.print_lines(console, (*sentences(qualification), *further_sentences(qualification.further), *origins))
 
-    def screen() -> Screen:
-        return qualification_screen(qualification, result)
-
+    screen = qualification_screen(qualification, result, failures)
     terminal.conclude(
         screen, [f"Results are in {out}; qualification.html is to be signed or refused"], qualification, everything,
         verbose=verbose, json=out / RESULTS if json else None, failures=failures,

@@ -54,7 +54,7 @@ def check(
     if json:
         terminal.print_json(check_results(report))
     console = terminal.teller(quiet=json)
-    terminal.print_screen(check_screen(report), quiet=json)
+    terminal.print_screen(check_screen(report, failures), quiet=json)
     if out is not None:
         console.print(f"The report is in {out / 'report.html'}", soft_wrap=True)
     if verbose:

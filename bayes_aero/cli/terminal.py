@@ -84,12 +84,14 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
     return Console(quiet=quiet, highlight=highlight, markup=False)
 
 
-def print_screen(screen: Screen, lines: int = 28, *, quiet: bool = False) -> None:
-    """In at most these lines, at most `COLUMNS` wide; as wide where it is no terminal."""
+def print_screen(screen: Screen, lines: int | None = None, *, quiet: bool = False) -> None:
+    """In at most these lines (None: all of a screen), at most `COLUMNS` wide; as wide where it is no terminal."""
+    from bayes_aero.report.screen import LINES
+
     wide = Console()
     width = min(wide.width, COLUMNS) if wide.is_terminal else COLUMNS
     console = Console(quiet=quiet, highlight=False, markup=False, width=width)
-    console.print(screen.terminal(console, lines))
+    console.print(screen.terminal(console, lines or LINES))
 
 
 @contextmanager
@@ -175,7 +177,7 @@ def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding]
 
 
 def conclude(
-    screen: Callable[[], Screen | None],
+    screen: Screen | None,
     written: Sequence[str],
     outcome: Any,
     everything: Callable[[Console], None],
@@ -200,8 +202,8 @@ def conclude(
         typer.echo(json.read_text(encoding="utf-8"), nl=False)
     else:
         console = teller(highlight=True)
-        if (shown := screen()) is not None:
-            print_screen(shown)
+        if screen is not None:
+            print_screen(screen)
         for line in written:
             console.print(line, highlight=False, soft_wrap=True)
     if verbose and json is None:

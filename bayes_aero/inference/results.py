@@ -134,8 +134,8 @@ class MleResult(Estimates):
         if self.blocks is not None and self.blocks < FEWEST_BLOCKS * len(self.names):
             sentences.append(
                 f"The record is too short for reliable intervals: it has {self.blocks} blocks of 0.2 s for "
-                f"{len(self.names)} parameters, and at least {FEWEST_BLOCKS} for each parameter are needed; add "
-                "manoeuvres or fix parameters."
+                f"{len(self.names)} parameters; at least {FEWEST_BLOCKS} for each are needed; add manoeuvres or fix "
+                "parameters."
             )
         low, high = self.separation
         breaks = [p.name for p in self.parameters if p.role is Role.BREAK_ANGLE]
@@ -143,7 +143,7 @@ class MleResult(Estimates):
             shape = [p.name for p in self.parameters if p.role in (Role.ABRUPTNESS, Role.BREAK_ANGLE)]
             sentences.append(
                 f"The angle of attack never approached {' or '.join(breaks)}: X stays between {low:.2f} and "
-                f"{high:.2f}, so {', '.join(shape)} and the terms with 1 - X depend on the onset of separation alone."
+                f"{high:.2f}; {', '.join(shape)} and the terms with 1 - X depend on the onset of separation alone."
             )
         for name, value, bound in zip(self.names, self.estimate, self.crb, strict=True):
             if bound > 0.5 * abs(value):

@@ -23,6 +23,7 @@ from bayes_aero import __version__
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import failure
 from bayes_aero.report.phrases import is_doubtful
+from bayes_aero.report.screen import Screen
 from bayes_aero.report.table import Table, cell_text
 
 FOLDED = 25  # characters in a line of a column of text
@@ -97,18 +98,19 @@ class Section(NamedTuple):
 
 @dataclass
 class Report:
-    """A report: the screen in its four blocks, or a verdict in one sentence; one picture; then sections."""
+    """A report: a verdict in one sentence or the answer in four blocks; one picture; then sections."""
 
     title: str
     subtitle: str
-    verdict: str
+    verdict: str | Screen
     lead: Sequence[Any]
     sections: Sequence[Section]
-    screen: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    screen: Mapping[str, Sequence[Block]] = field(init=False)
 
     def __post_init__(self) -> None:
         self.lead = blocks(*self.lead)
-        self.screen = {name: blocks(*parts) for name, parts in self.screen.items() if parts}
+        answer = self.verdict.blocks() if isinstance(self.verdict, Screen) else {}
+        self.screen = {name: blocks(*parts) for name, parts in answer.items() if parts}
         self.sections = [section for section in self.sections if section.blocks]
 
 

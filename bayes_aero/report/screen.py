@@ -5,9 +5,8 @@ A sentence has one claim and at most 25 words. All else is on the page, and on a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from rich import table as rich
 from rich.console import Console
@@ -33,41 +32,36 @@ class Screen:
     next: Sequence[str]
 
     def changes(self, earlier: Screen) -> Screen:
-        """What of it an earlier one of the same run did not say."""
+        """What an earlier one of the same run did not say, in sentences."""
+        new = {n: [x for x in getattr(self, n) if x not in getattr(earlier, n)] for n in ("result", "doubts", "next")}
+        return Screen([], [x for x in new["result"] if isinstance(x, str)], new["doubts"], new["next"])
 
-        def new(name: str) -> list[Any]:
-            before = [repr(part) for part in getattr(earlier, name)]
-            return [part for part in getattr(self, name) if repr(part) not in before]
-
-        return Screen(new("record"), new("result"), new("doubts"), new("next"))
-
-    def blocks(self) -> Mapping[str, Sequence[str | Table]]:
-        """The four by name; of doubts that are left out the number is given."""
-        left = len(self.doubts) - MOST
+    def blocks(self, most: int = MOST) -> dict[str, Sequence[str | Table]]:
+        """The four by name, with at most so many doubts and actions; of further doubts the number is given."""
+        left = len(self.doubts) - most
         more = [sentence("more_doubts", n=left)] if left > 0 else []
-        doubts = [*self.doubts[:MOST], *more] or (["None."] if self.record else [])  # not of what changed alone
-        actions = [action if action.startswith(COMMAND) else ended(action) for action in self.next[:MOST]]
-        return {"Record": self.record, "Result": self.result, "Doubts": doubts, "Next": actions}
+        doubts = [*self.doubts[:most], *more] or (["None."] if self.record else [])  # not of what changed alone
+        steps = [step if step.startswith(COMMAND) else ended(step) for step in self.next[:most]]
+        return {"Record": self.record, "Result": self.result, "Doubts": doubts, "Next": steps}
 
     def terminal(self, console: Console, lines: int = LINES) -> rich.Table:
-        """The blocks beside their names, the table with as many rows as these lines have room for."""
-        for rows in range(ROWS, 0, -1):
-            grid = self._grid(rows)
-            if len(console.render_lines(grid)) <= lines:
-                break
-        return grid
+        """The blocks beside their names, with as many rows, doubts and actions as these lines have room for."""
+        grids = (self._grid(rows, most) for most in range(MOST, 0, -1) for rows in range(ROWS, 0, -1))
+        return next((grid for grid in grids if len(console.render_lines(grid)) <= lines), self._grid(1, 1))
 
-    def _grid(self, rows: int) -> rich.Table:
+    def _grid(self, rows: int, most: int) -> rich.Table:
         grid = rich.Table.grid(padding=0)
         grid.add_column(width=MARGIN, style="bold")
         grid.add_column(overflow="fold")
-        for name, parts in self.blocks().items():
-            if not parts:
-                continue
+        for name, parts in self.blocks(most).items():
             for k, part in enumerate(parts):
                 head = name if k == 0 else ""
                 if isinstance(part, Table):
-                    grid.add_row(head, shortened(part, rows).terminal())
+                    left = len(part.columns[0].values) - rows
+                    columns = [replace(c, values=list(c.values)[:rows]) for c in part.columns]
+                    grid.add_row(head, replace(part, columns=columns).terminal())
+                    if left > 0:
+                        grid.add_row("", sentence("more_rows", n=left))
                     continue
                 mark = f"{k + 1}. " if name == "Next" else "! " if name == "Doubts" and self.doubts else ""
                 grid.add_row(head, Text(mark + apart(part)))
@@ -83,15 +77,6 @@ def apart(text: str) -> str:
 def ended(text: str) -> str:
     """As a sentence: with a capital and a full stop."""
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"
-
-
-def shortened(whole: Table, rows: int) -> Table:
-    """Its first rows, with the number of the others below."""
-    count = len(whole.columns[0].values)
-    if count <= rows:
-        return whole
-    columns = [replace(c, values=list(c.values)[:rows]) for c in whole.columns]
-    return replace(whole, columns=columns, terminal_note=sentence("more_rows", n=count - rows))
 
 
 def doubts_of(sentences: Iterable[str]) -> list[Message]:
@@ -113,6 +98,6 @@ def claims(messages: Iterable[Message]) -> list[str]:
     return lines
 
 
-def actions(messages: Iterable[Message]) -> list[str]:
-    """What the messages say to do, each once."""
-    return list(dict.fromkeys(m.do for m in messages if m.do))
+def actions(sentences: Iterable[str]) -> list[str]:
+    """What the messages among sentences say to do, each once."""
+    return list(dict.fromkeys(m.do for m in sentences if isinstance(m, Message) and m.do))

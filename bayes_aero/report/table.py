@@ -175,6 +175,11 @@ def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = 
     return number(value, form) if isinstance(form, int) else format(value, re.sub(r"^(\+?)(?=\.)", r"\1z", form))
 
 
+def with_error(e: Estimate) -> str:
+    """An estimate ± its standard error; a dash where that is not finite."""
+    return plus_minus(e.centre, e.sd) if math.isfinite(e.sd) else NONE
+
+
 def in_brackets(e: Estimate) -> str:
     """An estimate with its standard error in units of the last digit, also where a page has no room for ±."""
     return concise(e.centre, e.sd)

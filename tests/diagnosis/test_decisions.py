@@ -31,8 +31,7 @@ from bayes_aero.residuals.equation_error import EquationError
 
 def advised(d: result.Diagnosis, name: str) -> bool:
     """Whether the report says how to put a cause on the card."""
-    begins = (f"To include {name} ", f"{name}: correct the record")
-    return any(s.startswith(begins) for s in diagnosis_sentences(d))
+    return any(s.startswith("In [model] of the card add ") and f'"{name}"' in s for s in diagnosis_sentences(d))
 
 
 def test_held_out_flights_that_are_predicted_worse_deny_a_cause(diagnosed):

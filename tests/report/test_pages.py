@@ -115,6 +115,7 @@ def test_what_a_record_or_sampler_does_not_show_is_said(full):
     page = identification_page(replace(full, posteriors={**full.posteriors, "nuts": bad}), {}, {})
     assert page.lead[0].tone == "warning"
     assert "divergent" in page.lead[0].text
+    assert "by NUTS" in page.screen["Doubts"][0].text  # before all other doubts
 
 
 def test_a_part_that_fails_does_not_cost_the_page(tmp_path):

@@ -1,5 +1,6 @@
 """What reports say of identifications, effects, changes, signs and trajectories, against numbers by hand."""
 
+import io
 import re
 from dataclasses import replace
 from string import Formatter
@@ -12,6 +13,7 @@ import pytest
 from calling import holds
 from linear_cards import SHORT_PERIOD, card_of
 from report_samples import flight, with_offsets
+from rich.console import Console
 
 from bayes_aero.diagnosis import result
 from bayes_aero.dynamics.flight import linear_dynamics
@@ -23,7 +25,7 @@ from bayes_aero.jobs.documents import ChangePart, document_schema
 from bayes_aero.jobs.store import plain
 from bayes_aero.model.observations import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
-from bayes_aero.report import phrases
+from bayes_aero.report import phrases, screen
 from bayes_aero.report.page import page_table
 from bayes_aero.report.pages import trajectories
 from bayes_aero.report.pages.diagnosis import change_sentences, changes_table, diagnosis_sentences
@@ -31,6 +33,7 @@ from bayes_aero.report.pages.estimates import sign_sentences, verdict
 from bayes_aero.report.pages.fly import disagreement_sentences, fly_sentences, outside, parameter_table
 from bayes_aero.report.pages.identification import identification_screen
 from bayes_aero.report.phrases import WORDS, filled, is_doubtful, nats_text, not_testable_sentences, several
+from bayes_aero.report.table import Column, Table
 
 
 def sentence(run, *words: str) -> str:
@@ -273,6 +276,28 @@ def leaves(words):
 
 
 # Simulations, one-step predictions, gusts and a fit to trajectories
+def test_claims_are_short_and_what_ended_badly_is_the_first_doubt():
+    long = {key: m.get("claim", "") for key, m in WORDS["messages"].items() if len(m.get("claim", "").split()) > 25}
+    assert not long
+    slight, bad = (phrases.sentence(key, **values) for key, values in (
+        ("caution", {"text": "Few blocks."}), ("ended", {"what": "NUTS", "status": "R-hat 1.4"})))  # fmt: skip
+    assert screen.claims(screen.doubts_of(["An answer.", slight, bad])) == ["NUTS: R-hat 1.4.", "Few blocks."]
+
+
+def test_a_screen_gives_up_rows_then_doubts_for_the_lines_it_has_and_says_what_is_left():
+    table = Table([Column([f"p{k}" for k in range(40)], page="name", terminal="name")])
+    whole = screen.Screen(["Fit."], ["Done.", table], ["a", "b", "c", "d"], ["x", "bayes-aero y", "z"])
+    for lines in (28, 12, 9):
+        console = Console(width=100, file=io.StringIO())
+        console.print(whole.terminal(console, lines))
+        text = console.file.getvalue()
+        assert text.count("\n") <= lines
+        assert "more on the page" in text
+        assert "more doubt" in text
+    changed = screen.Screen(["Fit."], ["Done now.", table], ["b"], []).changes(whole)
+    assert (changed.record, changed.result, changed.doubts) == ([], ["Done now."], [])
+
+
 def test_the_gain_is_that_of_unseen_flights_and_else_nothing_is_said(simulated):
     """Both halves are 1 deg off with the card's model and 0.1 deg with the extended one."""
     assert "α 1.0 → 0.10 deg" in trajectories.simulation_gain(simulated)

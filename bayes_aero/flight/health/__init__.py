@@ -41,10 +41,12 @@ def only_following(health: Iterable[HealthFinding]) -> tuple[str, ...]:
 
 
 def finding(
-    record: FlightRecord, channel: str, fault: str, claim: str, why: str, mend: str,
+    record: FlightRecord, channel: str, fault: str, words: tuple[str, str, str],
     at: tuple[int, int] | None = (0, -1), *, grave: bool = True,
 ) -> HealthFinding:  # fmt: skip
-    """A finding whose sentence begins with the record's name; `at` are its first and last sample."""
+    """A finding whose sentence begins with the record's name; `words` are claim, why and mend, `at` its first and last
+    sample."""
+    claim, why, mend = words
     begin, end = (None, None) if at is None else (float(record.time[at[0]]), float(record.time[at[1]]))
     sentence = f"{record.name}: {claim}{why}{f'; {mend}' if mend else ''}"
     return HealthFinding(record.name, channel, fault, begin, end, claim, why, mend, sentence, grave)
@@ -90,9 +92,9 @@ def when(record: FlightRecord, index: np.ndarray) -> str:
 def decided(record: FlightRecord, _card: Card) -> Findings:
     """Optional channels that no sound record could have and that were left out; text that could mean two things."""
     for name, why in record.dropped.items():
-        yield finding(record, name, "left_out", why, "", "it is not required and was left out", None, grave=False)
+        yield finding(record, name, "left_out", (why, "", "it is not required and was left out"), None, grave=False)
     for remark in record.remarks:
-        yield finding(record, "record", "read", remark, "", "", None, grave=False)
+        yield finding(record, "record", "read", (remark, "", ""), None, grave=False)
 
 
 ENDS = 30  # samples at both ends together that the smoother (7) and the differentiator (8) distort
@@ -115,9 +117,9 @@ def short(record: FlightRecord, card: Card) -> Findings:
         least, has = np.ceil(10.0 * max(motion, ends)) / 10.0, np.floor(10.0 * lasts) / 10.0  # never the same number
         yield finding(
             record, "record", "short",
-            f"the record is too short: {has:g} s, and {least:g} s are needed", f" ({why})",
+            (f"the record is too short: {has:g} s, and {least:g} s are needed", f" ({why})",
             "estimates can be off by several standard errors, so give the whole manoeuvre with some seconds of trimmed "
-            "flight before it",
+            "flight before it"),
         )  # fmt: skip
 
 
@@ -198,10 +200,10 @@ def different_rates(records: Sequence[FlightRecord]) -> Findings:
         listed = ", ".join(f"{r.name} {rate:.4g} Hz" for r, rate in zip(records, rates, strict=True))
         yield finding(
             records[i], "time", "rates",
-            "the records have different sampling rates",
+            ("the records have different sampling rates",
             f" ({listed}): filters span samples, so derivatives and noise differ between them",
             "identify brings them to the lowest rate by default, elsewhere resample "
-            f"(--resample {1.0 / rates.min():.4g})", None,
+            f"(--resample {1.0 / rates.min():.4g})"), None,
         )  # fmt: skip
 
 
@@ -218,7 +220,7 @@ def same_records(records: Sequence[FlightRecord]) -> Findings:
         if shared := repeats_of(original, copy):
             words, at = shared
             why = ", so the flight counts twice and every interval is too narrow"
-            yield finding(copy, "record", "same_record", words, why, "give the flight once", at)
+            yield finding(copy, "record", "same_record", (words, why, "give the flight once"), at)
 
 
 def repeats_of(original: FlightRecord, copy: FlightRecord) -> tuple[str, tuple[int, int]] | None:

@@ -62,11 +62,11 @@ class _Ratio:
         if not culprits:
             mend = f"correct {' or '.join(self.powers)} in the file, or take it off the card"
             why = " (no unit explains it)"
-            return [health.finding(record, name, "factor", fact, why, mend, grave=bool(self.unnamed))]
+            return [health.finding(record, name, "factor", (fact, why, mend), grave=bool(self.unnamed))]
         channel, unit = culprits[0]
         why = " or ".join(f"{n}, {health.declared(card, n).unit} on the card, is in {u}" for n, u in culprits)
         mend = f'set unit = "{unit}" for {channel} on the card'
-        return [health.finding(record, channel, "unit", fact, f" ({why})", mend, grave=channel in grave)]
+        return [health.finding(record, channel, "unit", (fact, f" ({why})", mend), grave=channel in grave)]
 
 
 # --- Quantities that several channels make together: density, dynamic pressure, Mach number, altitude, weight.
@@ -91,9 +91,9 @@ def air_data(record: FlightRecord, card: Card) -> Findings:
         if not LEAST <= CL <= MOST:
             yield health.finding(
                 record, "airspeed" if THINNEST < rho < THICKEST else "density", "load",
-                f"level flight would need a lift coefficient of {CL:.3g}",
+                (f"level flight would need a lift coefficient of {CL:.3g}",
                 f" (mass {mass:.4g} kg, wing area {area:.4g} m^2, density {rho:.3g} kg/m^3, airspeed {V:.4g} m/s)",
-                "correct the unit of one of them on the card", None,
+                "correct the unit of one of them on the card"), None,
             )  # fmt: skip
 
 
@@ -172,8 +172,8 @@ def _density(record: FlightRecord, card: Card, view: View) -> Findings:
         if near and record.has("altitude") and "density" not in card.constants:
             yield health.finding(
                 record, "altitude", "unit",
-                f"altitude looks like {unit}", f": the density is {k:.3g} times that of a standard atmosphere there",
-                f'set unit = "{unit}" for altitude on the card', None,
+                (f"altitude looks like {unit}", f": the density is {k:.3g} times that of a standard atmosphere there",
+                f'set unit = "{unit}" for altitude on the card'), None,
                 grave=not record.has("density"),
             )  # fmt: skip
             return
@@ -181,8 +181,8 @@ def _density(record: FlightRecord, card: Card, view: View) -> Findings:
     stated = not record.has("density") and "density" in card.constants
     yield health.finding(
         record, name, "density",
-        f"the density, {_middle(view['density']):.3g} kg/m^3, is {k:.3g} times that of a standard atmosphere",
-        f" at the altitude, {height}; no unit explains it", f"correct {name} or altitude", None,
+        (f"the density, {_middle(view['density']):.3g} kg/m^3, is {k:.3g} times that of a standard atmosphere",
+        f" at the altitude, {height}; no unit explains it", f"correct {name} or altitude"), None,
         grave=stated or abs(np.log(k)) > 1.0,
     )  # fmt: skip
 
@@ -201,9 +201,9 @@ def on_ground(record: FlightRecord, card: Card) -> Findings:
         slow = np.median(np.concatenate([record["airspeed"][a : b + 1] for a, b in runs]))
         yield health.finding(
             record, "airspeed", "ground",
-            f"airspeed is too low to fly from {parts}",
+            (f"airspeed is too low to fly from {parts}",
             f" ({seconds:.3g} s, median {slow:.3g} m/s): the aircraft is on the ground there",
-            "cut these parts out of the record", (runs[0][0], runs[-1][1]),
+            "cut these parts out of the record"), (runs[0][0], runs[-1][1]),
         )  # fmt: skip
 
 

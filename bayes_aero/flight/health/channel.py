@@ -31,9 +31,9 @@ def dropouts(record: FlightRecord, card: Card) -> Findings:
             index = np.flatnonzero(at)
             yield health.finding(
                 record, name, "dropout",
-                f"{name} drops to {filed:.6g} {'' if unit == '1' else unit + ' '}in {len(index)} of {record.n} samples",
+                (f"{name} drops to {filed:.6g} {unit} in {len(index)} of {record.n} samples".replace(" 1 in", " in"),
                 f" ({health.when(record, index)}), far from the samples around them: a dropout",
-                "cut these samples out or interpolate across them in the file", (int(index[0]), int(index[-1])),
+                "cut these samples out or interpolate across them in the file"), (int(index[0]), int(index[-1])),
             )  # fmt: skip
 
 
@@ -94,17 +94,17 @@ def frozen(record: FlightRecord, card: Card) -> Findings:
         if name == "psi" and all(map(record.has, ("theta", "phi", "q", "r"))) and dead_heading(view):
             yield health.finding(
                 record, name, "frozen",
-                f"psi stays at {health.shown(card, 'psi', float(np.median(x)))} while the rates turn the aircraft",
+                (f"psi stays at {health.shown(card, 'psi', float(np.median(x)))} while the rates turn the aircraft",
                 ": the heading is dead, and the flight path is reconstructed without it",
-                "correct its column or label on the card, or take it off", grave=False,
+                "correct its column or label on the card, or take it off"), grave=False,
             )  # fmt: skip
         runs = [run for run in health.still_runs(x) if (run[1] - run[0]) * record.dt >= SHORTEST]
         if np.ptp(x) == 0.0:
             if _must_move(record, name):
                 yield health.finding(
                     record, name, "frozen",
-                    f"{name} stands at {health.shown(card, name, x[0])} throughout", ": no signal was recorded",
-                    "correct its column or label on the card, or take it off the card",
+                    (f"{name} stands at {health.shown(card, name, x[0])} throughout", ": no signal was recorded",
+                    "correct its column or label on the card, or take it off the card"),
                     grave=name not in ("radio_altitude", "calibrated_airspeed"),
                 )  # fmt: skip
         elif runs := (_stuck_surface(record, name, runs) if name in CONTROLS else _stuck(record, rates, name, runs)):
@@ -112,9 +112,9 @@ def frozen(record: FlightRecord, card: Card) -> Findings:
             more = f", and in {len(runs) - 1} more stretches" if len(runs) > 1 else ""
             yield health.finding(
                 record, name, "frozen",
-                f"{name} is frozen at {health.shown(card, name, x[first])} {health.span(record, first, last)}",
+                (f"{name} is frozen at {health.shown(card, name, x[first])} {health.span(record, first, last)}",
                 f" ({last - first + 1} equal samples{more}), longer than its noise and the other channels allow",
-                "cut this part out of the record", (first, last),
+                "cut this part out of the record"), (first, last),
             )  # fmt: skip
 
 
@@ -216,8 +216,8 @@ def held(record: FlightRecord, _card: Card) -> Findings:
             mend = f"resample the record to that rate (--resample {period * record.dt:.4g}), or record them faster"
         yield health.finding(
             record, (fast or names)[0], "held",
-            f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} {how} over {period:.3g} samples: the true rate "
-            f"is {1.0 / (period * record.dt):.3g} Hz in a record of {1.0 / record.dt:.4g} Hz", late, mend,
+            (f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} {how} over {period:.3g} samples: the true rate "
+            f"is {1.0 / (period * record.dt):.3g} Hz in a record of {1.0 / record.dt:.4g} Hz", late, mend),
             grave=bool(fast),
         )  # fmt: skip
 
@@ -281,9 +281,9 @@ def saturated(record: FlightRecord, card: Card) -> Findings:
             if run := _flat(x, extreme):
                 yield health.finding(
                     record, name, "saturated",
-                    f"{name} is cut off at {health.shown(card, name, extreme)}, the {end} end of its range",
+                    (f"{name} is cut off at {health.shown(card, name, extreme)}, the {end} end of its range",
                     f": {int(np.sum(x == extreme))} samples stand there, most {health.span(record, *run)}",
-                    "cut these parts out or use a sensor of larger range", run,
+                    "cut these parts out or use a sensor of larger range"), run,
                 )  # fmt: skip
 
 
@@ -322,8 +322,8 @@ def wrapped(record: FlightRecord, _card: Card) -> Findings:
             if len(at):
                 yield health.finding(
                     record, name, "wrapped",
-                    f"{name}: the {word} jumps by {np.degrees(turn):.0f} deg {len(at)} times",
-                    f" ({health.when(record, at + 1)}) at the end of its range", "unwrap it in the file",
+                    (f"{name}: the {word} jumps by {np.degrees(turn):.0f} deg {len(at)} times",
+                    f" ({health.when(record, at + 1)}) at the end of its range", "unwrap it in the file"),
                     (int(at[0]), int(at[-1]) + 1), grave=name == "phi",
                 )  # fmt: skip
                 break

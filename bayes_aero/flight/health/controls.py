@@ -82,7 +82,7 @@ def control_responses(record: FlightRecord, card: Card) -> Findings:
             sign = -declared(card, surface).sign
             mend = f"so if the file counts {control.otherwise} write sign = {sign} at {surface} on the card"
         claim = f"{surface}: {control.answer} with it"
-        yield finding(record, surface, "sign", claim, f" ({fit[0]:+.2g} 1/s^2 a rad); {control.rule}", mend)
+        yield finding(record, surface, "sign", (claim, f" ({fit[0]:+.2g} 1/s^2 a rad); {control.rule}", mend))
 
 
 def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
@@ -147,11 +147,11 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
         for record, (names, left) in moved:
             yield finding(
                 record, surface, "feedback",
-                f"{surface} follows the recorded {', '.join(names)}",
+                (f"{surface} follows the recorded {', '.join(names)}",
                 f": all but {left}, which is within noise. The feedback and the aircraft cannot be parted, and no "
                 "derivative of this axis is usable",
                 f"fly a pilot's input to the {surface} beside the feedback, join a record that has one, or fix the "
-                "known derivatives on the card",
+                "known derivatives on the card"),
             )  # fmt: skip
 
 

@@ -511,11 +511,11 @@ def _bias(record: FlightRecord, card: Card, view: View, left: Misfits) -> Findin
     tilt = np.degrees(np.arcsin(min(abs(off) / GRAVITY, 1.0)))
     yield finding(
         record, "ay", "bias",
-        f"ay is off by {off:+.2g} m/s^2 ({off / GRAVITY:+.2g} g) in the mean",
+        (f"ay is off by {off:+.2g} m/s^2 ({off / GRAVITY:+.2g} g) in the mean",
         f": bank, turn and airspeed make {mean - off:+.2g} m/s^2, and {mean:+.2g} were recorded. It is a bias of the "
         f"accelerometer, its tilt of {tilt:.2g} deg about the x axis, as much bias of the bank angle or, in a turn, a "
         "factor of the airspeed",
-        "take it out in the file, or add the effect accel_y_bias with its value under fixed on the card",
+        "take it out in the file, or add the effect accel_y_bias with its value under fixed on the card"),
         grave=Axis.LATERAL in card.axes,
     )  # fmt: skip
 
@@ -533,4 +533,4 @@ def _finding(
         f"by {scale * after[name]:.2g} once that is corrected"
     )
     mend = ", or ".join([best.mend, *(r.mend for r in tied if r.rivals(best))])
-    return finding(record, best.channels[0], best.fault, f"{best.names} {best.looks}{other}", why, mend)
+    return finding(record, best.channels[0], best.fault, (f"{best.names} {best.looks}{other}", why, mend))

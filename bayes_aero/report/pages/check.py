@@ -29,14 +29,15 @@ CHANNELS = (
 )  # fmt: skip
 
 
-def check_screen(report: CheckReport) -> Screen:
+def check_screen(report: CheckReport, failures: Sequence[str] = ()) -> Screen:
     """What each record is fit for, the faults of its channels, and what to do with it."""
     sound = [r.record for r in report.records if r.record is not None]
-    record, mend = parts.record_block(sound, report.health, report.consistency)
-    problems = [f"{r.path}: {p}" for r in report.records for p in r.problems]
+    problems = [f"{r.path}: {p}." for r in report.records for p in r.problems]
+    record, mend = parts.record_block(sound, report.health, report.consistency, problems)
     able = [name for name, why in report.uses.items() if not why]
     unable = [f"{name}: {why}." for name, why in report.uses.items() if why]
-    shown = [sentence("usable", names=able)] if report.usable else [sentence("unusable")]
+    usable = "usable" if not mend else "usable_then"
+    shown = [sentence(usable, names=able)] if report.usable else [sentence("unusable")]
     shown += [f"{name}: {error['claim']} {parts.error_sizes(error)}" for name, error in report.sensors.errors.items()]
     untestable = [sentence("not_testable_count", n=len(report.not_testable))] if report.not_testable else []
     found = parts.consistency_sentences(report.consistency, corrects=False)[1:]
@@ -45,8 +46,15 @@ def check_screen(report: CheckReport) -> Screen:
     places = [f"{r.path}@{p.part}" for r in report.records for p in r.proposals if p.what == "manoeuvre"]
     several_in_one = len(places) > len(report.records)
     parts_of = [sentence("give_these", listed=parts.several(places, parts.MOST_FILES))] if several_in_one else []
-    doubts = [*problems, *report.failures, *claims(doubts_of(found)), *unable, *report.left_out, *untestable]
-    return Screen(record if sound else [], shown, doubts, [*mend, *parts_of, *then])
+    doubts = [
+        *problems[parts.MOST_FAULTS :],
+        *failures,
+        *claims(doubts_of(found)),
+        *unable,
+        *report.left_out,
+        *untestable,
+    ]
+    return Screen(record, shown, doubts, [*mend, *parts_of, *then])
 
 
 def part_sentences(record: RecordReport) -> list[str]:
@@ -134,8 +142,7 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Report:
     return Report(
         title=f"Record check: {report.card.title}",
         subtitle="Channels, units, sampling, and whether the sensors agree; no aerodynamics is fitted",
-        verdict="",
-        screen=check_screen(report).blocks(),
+        verdict=check_screen(report, report.failures),
         lead=plots[:1],
         sections=[
             section("uses", "Use of the records", lambda: (parts.warnings(faults), uses, untestable)),

@@ -63,6 +63,7 @@ if TYPE_CHECKING:
 
 SHOWN = 4  # other terms that are named
 MAX_SIZED = 3  # causes whose sizes are in the verdict
+SEEN = 0.005  # change of R² that two digits show
 
 
 def sentences(view: DiagnosisView) -> list[str]:
@@ -154,13 +155,13 @@ def _why_not_confirmed(cause: Cause) -> str:
 
 
 def _taken_over(d: Diagnosis) -> list[str]:
-    """How to put the causes that the verdict rests on into the card."""
+    """How to put the causes that the verdict rests on into the card: errors have their size, effects are fitted."""
     clear = {c.name: c for c in d.causes if c.sure and not c.ambiguous_with}
-    sure = [name for name, c in clear.items() if name in CATALOGUE and set(c.joint) <= set(clear)]
-    fitted = [name for name in sure if CATALOGUE[name].stage > Stage.AIRCRAFT]
-    errors = [name for name in sure if name not in fitted]
-    both = {"include_effects": fitted, "correct_errors": errors}
-    return [sentence(key, names=names) for key, names in both.items() if names]
+    known = [c for name, c in clear.items() if name in CATALOGUE and set(c.joint) <= set(clear)]
+    errors = [c for c in known if CATALOGUE[c.name].stage <= Stage.AIRCRAFT]
+    fixed = [f"{name} = {x.mean:.4g}" for c in errors for name, x in c.parameters.items()]
+    both = {"correct_errors": errors, "include_effects": [c for c in known if c not in errors]}
+    return [sentence(k, names=[f'"{c.name}"' for c in some], fixed=fixed) for k, some in both.items() if some]
 
 
 def _unexplained(d: Diagnosis) -> list[str]:
@@ -319,58 +320,41 @@ def diagnosis_screen(result: Outcome, card: Card, records: Sequence[FlightRecord
     """The causes on which the verdict rests, in the order in which an engineer mends them, and all doubts."""
     d, flown = result.diagnosis, result.view.trajectories
     record, mend = parts.record_block(records, result.health, result.consistency, corrects=d.by_coefficients)
-    sure = sorted((c for c in d.causes if c.sure), key=lambda c: CATALOGUE[c.name].stage if c.name in CATALOGUE else 0)
-    shown: list[str | Table] = [_verdict(d, "", "", "")]
-    shown += [sure_table(sure)] if sure else []
-    shown += [gain] if flown is not None and (gain := simulation_gain(flown)) else []
+    stages = {name: effect.stage for name, effect in CATALOGUE.items()}  # sensors, aircraft, then the model
+    sure = sorted((c for c in d.causes if c.sure), key=lambda c: stages.get(c.name, math.inf))
+    gain = "" if flown is None else simulation_gain(flown)
+    shown = [_verdict(d, "", "", ""), *([sure_table(sure)] if sure else []), *([gain] if gain else [])]
+    shown += revealed(result.hidden, result.named) if result.hidden else []
     listed = findings(d, flown)
     unsure = [sentence("unsure_cause", names=[c.name for c in some], why=why) for why, some in _unsure(d).items()]
-    messages = doubts_of([*unsure, *(text for texts in listed.values() for text in texts)])
-    messages = [m for m in messages if not m.key.startswith("verdict_")]
-    doubts = [*result.failures, *claims(messages)]
-    if hidden := result.hidden:
-        shown += revealed(hidden, result.named)
-    points = points_sentences(result.test_points)
-    later = [*points[:1], sentence("next_fly", given=parts.given(records, card))]
-    return Screen(record, shown, doubts, list(dict.fromkeys([*mend, *_edits(sure), *actions(messages), *later])))
+    others = [text for kind, texts in listed.items() if kind != "verdict" for text in texts]
+    messages = doubts_of([*unsure, *others])
+    doubts = [*result.failures, *claims(messages), *d.notes, *result.notes]
+    steps = [*mend, *actions([*_taken_over(d), *messages]), *points_sentences(result.test_points)[:1]]
+    fly = sentence("next_fly", given=parts.given(records, card))
+    return Screen(record, shown, doubts, list(dict.fromkeys([*steps, fly])))
 
 
 def sure_table(causes: Sequence[Cause]) -> Table:
-    """Each cause with its size, and the score on hold-out data that changes most."""
-    column = columns_of(causes)
-    return table(
-        "sure_causes",
-        [
-            column(
-                lambda c: several([c.name, *c.ambiguous_with]).replace(" and ", " or "), page="cause", terminal="cause"
-            ),
-            column(lambda c: c.claim.rstrip("."), page="what it means", terminal="what it means", words=True),
-            column(_sizes, page="size", terminal="size", words=True),
-            column(_most_changed, page="hold-out data", terminal="hold-out data"),
-        ],
-    )
+    """Each cause with its size, and what it gains on hold-out data."""
+    column, rivals = columns_of(causes), "or these"
+    columns = [
+        column(lambda c: c.name, page="cause", terminal="cause"),
+        column(_sizes, page="size ± standard error", terminal="size ± standard error", words=True),
+        column(_held_out, page="hold-out data", terminal="hold-out data"),
+    ]
+    if any(c.ambiguous_with for c in causes):
+        columns.append(column(lambda c: several(c.ambiguous_with), "", rivals, rivals, or_dash, str, words=True))
+    return Table(columns)
 
 
-def _most_changed(c: Cause) -> str:
-    """R² before and after of the coefficient that gains most; what removal costs where there are no coefficients."""
-    gain = c.gain
-    changes = {n: (gain.before[n].r2, gain.after[n].r2) for n in gain.before if n in gain.after}
-    finite = {n: (a, b) for n, (a, b) in changes.items() if math.isfinite(a) and math.isfinite(b)}
-    if finite:
-        name, (before, after) = max(finite.items(), key=lambda item: abs(item[1][1] - item[1][0]))
-        return f"R² {name} {before:z.2f} → {after:z.2f}"
-    return f"{c.missed[0]:+z.0f} ± {c.missed[1]:.0f} nats" if math.isfinite(c.missed[0]) else NONE
-
-
-def _edits(causes: Sequence[Cause]) -> list[str]:
-    """How each cause is put on the card: effects of the aircraft are fitted, errors have their size."""
-    clear = {c.name: c for c in causes if not c.ambiguous_with}
-    known = [c for name, c in clear.items() if name in CATALOGUE and set(c.joint) <= set(clear)]
-    errors = [c for c in known if CATALOGUE[c.name].stage <= Stage.AIRCRAFT]
-    effects = [c for c in known if c not in errors]
-    fixed = [f"{n} = {x.mean:.4g}" for c in errors for n, x in c.parameters.items()]
-    listed = ((key, [f'"{c.name}"' for c in some]) for key, some in (("add_error", errors), ("add_effect", effects)))
-    return [sentence(key, names=names, fixed=fixed) for key, names in listed if names]
+def _held_out(c: Cause) -> str:
+    """R² of the coefficient that gains most, before and after; without a gain in sight, what removal costs."""
+    pairs = {n: (c.gain.before[n].r2, c.gain.after[n].r2) for n in c.gain.before if n in c.gain.after}
+    gains = {n: (b - a, a, b) for n, (a, b) in pairs.items() if math.isfinite(a + b)}
+    if gains and (name := max(gains, key=lambda n: gains[n][0])) and gains[name][0] >= SEEN:
+        return f"R² {name} {gains[name][1]:z.2f} → {gains[name][2]:z.2f}"
+    return f"{-c.missed[0]:+z.0f} ± {c.missed[1]:.0f} nats if removed" if math.isfinite(c.missed[0]) else NONE
 
 
 def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
@@ -621,8 +605,7 @@ def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
     return Report(
         title=f"Diagnosis: {card.title}",
         subtitle=f"The model error, its causes, and the gain of the extended model{FROM_WHAT[d.compared]}",
-        verdict="",
-        screen=diagnosis_screen(result, card, context.records).blocks(),
+        verdict=diagnosis_screen(result, card, context.records),
         lead=lead,
         sections=[
             parts.records_section(card, context.records, result.health),

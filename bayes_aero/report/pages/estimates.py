@@ -126,10 +126,11 @@ def scatter(run: Identification, name: str) -> tuple[float, float] | None:
 def verdict(run: Identification) -> list[str]:
     """The findings of the run, one sentence or two each; missing parts of the run are omitted."""
     mle, chains = run.mle, posterior_sentences(run.posteriors)
+    cautions = [sentence("caution", text=text) for text in mle.warnings()]
     estimates = {n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)}
     signs = sign_sentences(estimates, mle.parameters, only_following(run.health))
     if not (usable(mle) and np.all(np.isfinite([*mle.crb, *mle.crb_corrected]))):
-        return [*signs, *mle.warnings(), *chains, *next_flight_sentences(run), *split_verdict(run)]
+        return [*signs, *cautions, *chains, *next_flight_sentences(run), *split_verdict(run)]
     signs += [*bound_sentences(mle.active_bounds), *conflict_sentences(mle.conflicts)]
     signs += inseparable_sentences(mle.inseparable)
     against = [*_colour(run), *_noise_model(run), *between_manoeuvres(run)]
@@ -137,7 +138,7 @@ def verdict(run: Identification) -> list[str]:
     sentences = against or _agreement(run)
     sentences += [sentence("alone_left_out", name=name, status=status) for name, status in left.items()]
     sentences += [*next_flight_sentences(run), *chains]
-    return [*signs, *_truth(run), *run.preparation, *sentences, *split_verdict(run), *mle.warnings()]
+    return [*signs, *_truth(run), *run.preparation, *sentences, *split_verdict(run), *cautions]
 
 
 def _by_key(run: Identification) -> dict[str, Method]:
@@ -276,7 +277,8 @@ def next_flight_sentences(run: Identification) -> list[str]:
         rests = f"its value rests on the other {others}" if others > 1 else "its scatter is the prior's"
         sentences.append(sentence("undetermined_by", manoeuvres=manoeuvres, name=name, rests=rests))
     sentences += [f"{m} is left out of the next flight: {reason}." for m, reason in pooled.left_out.items()]
-    doubt = [] if pooled.status.name == "CONVERGED" else [f"Scatter between manoeuvres, NUTS: {pooled.status.value}."]
+    ended = [] if pooled.status.name == "CONVERGED" else [pooled.status.value]
+    doubt = [sentence("ended", what="Scatter between manoeuvres, NUTS", status=status) for status in ended]
     return sentences + doubt
 
 
@@ -292,7 +294,8 @@ def split_verdict(run: Identification) -> list[str]:
         return []
     first = report.splits[report.chosen][0]
     unsampled = {n: first[n].status.rstrip(".") for n, fit in report.fits.items() if fit.posterior is None}
-    sentences = [f"Gaussian process of {name}: no sampled hyperparameters ({why})." for name, why in unsampled.items()]
+    kind = "No sampled hyperparameters of the Gaussian process of {}"
+    sentences = [sentence("ended", what=kind.format(name), status=why) for name, why in unsampled.items()]
     splits = [split for split in SPLITS if split in report.splits]
     if splits[0] != "random" or len(splits) < 2:
         return sentences
@@ -381,7 +384,7 @@ def unfinished(posteriors: Mapping[str, Posterior]) -> list[str]:
     """Posteriors that must not be used."""
     labels = {key: label_of(key) for key in posteriors} | {"white": "emcee under white noise"}
     doubtful = {labels[key]: p.status.value for key, p in posteriors.items() if p.status.name != "CONVERGED"}
-    return [f"The posterior by {label}: {status}." for label, status in doubtful.items()]
+    return [sentence("ended", what=f"The posterior by {x}", status=status) for x, status in doubtful.items()]
 
 
 def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:

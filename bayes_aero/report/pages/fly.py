@@ -18,7 +18,6 @@ from bayes_aero.report.phrases import (
     decimals,
     for_people,
     plain_unit,
-    plus_minus,
     sentence,
     several,
     short,
@@ -28,7 +27,17 @@ from bayes_aero.report.phrases import (
 )
 from bayes_aero.report.plots import FLOWN, LOW, Panel, measured_panel, output_panels
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
-from bayes_aero.report.table import NONE, Column, Estimate, Table, in_brackets, or_dash, parameter_columns, table
+from bayes_aero.report.table import (
+    NONE,
+    Column,
+    Estimate,
+    Table,
+    in_brackets,
+    or_dash,
+    parameter_columns,
+    table,
+    with_error,
+)
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -42,6 +51,7 @@ START, FITTED = FLOWN
 MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
 MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
 MOST_ERRORS = 4  # outputs of which the screen gives the errors
+CORRECTED, WHITE = "output error ± corrected", "process noise ± white"  # kinds of standard error
 MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 
 
@@ -81,7 +91,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
         sentences += [sentence("undetermined", names=fit.undetermined)] if fit.undetermined else []
         sentences += estimates.inseparable_sentences(fit.inseparable)
     if lost := [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]:
-        sentences.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
+        sentences.append(sentence("ended", what="The fit", status=f"{several(lost)} left the flight envelope"))
     return sentences
 
 
@@ -97,11 +107,11 @@ def fly_screen(result: Flight, card: Card, records: Sequence[FlightRecord]) -> S
         Column(fit.names, page="parameter", terminal="parameter"),
         Column(units, page="unit", terminal="unit"),
         Column([float(x) for x in flown.start], page="first value", terminal="first value", form=4),
-        Column(fitted, page="output error", terminal="output error", form=_plus_minus),
+        Column(fitted, page=CORRECTED, terminal=CORRECTED, form=with_error),
     ]
     if beside is not None and filtered:
         both = [Estimate(*beside.estimates[n]) if n in beside.estimates else None for n in fit.names]
-        columns.append(Column(both, page="process noise", terminal="process noise", form=_plus_minus))
+        columns.append(Column(both, page=WHITE, terminal=WHITE, form=with_error))
     status = unparted(fit.status.value, flown.following)
     errors = {n: amounts(flown.units[n], *pair) for n, pair in flown.rms_errors.items()}
     listed = [f"{symbol(n)} {before} → {after}{unit}" for n, (before, after, unit) in errors.items()]
@@ -114,12 +124,9 @@ def fly_screen(result: Flight, card: Card, records: Sequence[FlightRecord]) -> S
     shown += [Table(columns)]
     messages = doubts_of(result.sentences)
     then = "next_diagnose" if flown.by_effects else "next_qualify"
-    more_actions = [sentence(then, given=parts.given(records, card))] if flown.converged else []
-    return Screen(record, shown, [*result.failures, *claims(messages)], [*mend, *actions(messages), *more_actions])
-
-
-def _plus_minus(e: Estimate) -> str:
-    return plus_minus(e.centre, e.sd) if math.isfinite(e.sd) else NONE
+    steps = [*mend, *actions(messages)]
+    steps += [sentence(then, given=parts.given(records, card))] if flown.converged else []
+    return Screen(record, shown, [*result.failures, *claims(messages), *result.notes], steps)
 
 
 def _settings(flown: TrajectoryFit) -> list[str]:
@@ -302,8 +309,7 @@ def fly_page(flown: TrajectoryFit, context: parts.PageContext) -> Report:
     return Report(
         title=f"{title}: {card.title}",
         subtitle=subtitle,
-        verdict="",
-        screen=fly_screen(result, card, context.records).blocks(),
+        verdict=fly_screen(result, card, context.records),
         lead=[],
         sections=[
             section("findings", "Findings", lambda: ([*result.sentences, *result.notes], parts.terms("terms_of_fly"))),

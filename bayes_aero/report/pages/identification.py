@@ -20,7 +20,16 @@ from bayes_aero.report.pages.trajectories import given_flights
 from bayes_aero.report.phrases import WORDS, from_to, plain_unit, plus_minus, sentence, several, unparted
 from bayes_aero.report.plots import Panel, compared_panel
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
-from bayes_aero.report.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns, table
+from bayes_aero.report.table import (
+    Column,
+    Estimate,
+    Table,
+    columns_of,
+    in_brackets,
+    parameter_columns,
+    table,
+    with_error,
+)
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -76,8 +85,8 @@ def identification_screen(run: Identification, card: Card, records: Sequence[Fli
     columns = [
         Column(names, page="parameter", terminal="parameter"),
         Column([plain_unit(unit_of(run, n)) for n in names], page="unit", terminal="unit"),
-        Column(corrected.of(names), page="maximum likelihood", terminal="maximum likelihood", form=_plus_minus),
-        *([Column(chosen.of(names), page=chosen.label, terminal=chosen.label, form=_plus_minus)] if chosen else []),
+        Column(corrected.of(names), page=corrected.label, terminal=corrected.label, form=with_error),
+        *([Column(chosen.of(names), page=chosen.label, terminal=chosen.label, form=with_error)] if chosen else []),
     ]
     status = unparted(mle.status.value, only_following(run.health))
     R2 = ", ".join(f"{name} {number(of.r2, 3)}" for name, of in mle.fit.items())
@@ -88,11 +97,7 @@ def identification_screen(run: Identification, card: Card, records: Sequence[Fli
     shown += [Table(columns)] if estimates.usable(mle) else [sentence("no_parameters")]
     messages = doubts_of(estimates.verdict(run))
     more = [sentence("next_diagnose", given=parts.given(records, card))]
-    return Screen(record, shown, [*run.failures, *claims(messages)], [*mend, *actions(messages), *more])
-
-
-def _plus_minus(e: Estimate) -> str:
-    return plus_minus(e.centre, e.sd)
+    return Screen(record, shown, [*run.failures, *claims(messages), *run.notes], [*mend, *actions(messages), *more])
 
 
 def _sd(e: Estimate) -> str:
@@ -232,8 +237,7 @@ def identification_page(
     return Report(
         title=f"Identification: {run.card.title}",
         subtitle="Aerodynamic model identified from flight data, with uncertainty",
-        verdict="",
-        screen=identification_screen(run, run.card, run.records).blocks(),
+        verdict=identification_screen(run, run.card, run.records),
         lead=[
             parts.warnings(estimates.unfinished(run.posteriors)),
             gallery("stall") or gallery("crb_vs_credible"),

@@ -142,19 +142,20 @@ def record_block(
     records: Sequence[FlightRecord],
     health: Sequence[HealthFinding],
     sensors: Consistency | None,
+    problems: Sequence[str] = (),
     *,
     corrects: bool = False,
 ) -> tuple[list[str], list[str]]:
-    """Whether the records can be trusted, in lines, and what to mend first."""
+    """Whether the records can be trusted, in lines, and what to mend first. `problems`: why some cannot be used."""
     grave, harmless = fault_lines(f for f in health if f.grave), sum(not f.grave for f in health)
     answer = [] if sensors is None else consistency_sentences(sensors, corrects=corrects)[:1]
     explained = sensors is not None and corrects and sensors.agreement is Agreement.EXPLAINED
     disagree = sensors is not None and sensors.disagrees and not explained
     seconds = number(sum(float(r.time[-1] - r.time[0]) for r in records), 3)
     rates = several(dict.fromkeys(f"{1.0 / r.dt:.3g}" for r in records))
-    state = "not_fit" if grave or disagree else "fit"
-    lines = [sentence(state, n=len(records), seconds=seconds, rates=rates)]
-    lines += [text for text, _ in grave[:MOST_FAULTS]]
+    size = sentence("records_size", n=len(records), seconds=seconds, rates=rates) if records else "."
+    lines = [WORDS["records"]["not_fit" if grave or problems else "in_doubt" if disagree else "fit"] + size]
+    lines += [*problems[:MOST_FAULTS], *(text for text, _ in grave[:MOST_FAULTS])]
     lines += [sentence("more_faults", n=len(grave) - MOST_FAULTS)] if len(grave) > MOST_FAULTS else []
     lines += [getattr(text, "claim", text) for text in answer]
     lines += [sentence("harmless", n=harmless)] if harmless else []
@@ -163,10 +164,12 @@ def record_block(
 
 
 def given(records: Sequence[FlightRecord], card: Card) -> str:
-    """Records and card as the next command is given them; `RECORDS` for parts of files and for many."""
-    files = [shlex.quote(r.source) for r in records if "." in r.source and ", " not in r.source]
-    listed = files if len(files) == len(records) <= MOST_FILES else ["RECORDS"]
-    return " ".join([*listed, "--model", shlex.quote(card.path or card.name)])
+    """Records and card as the next command is given them; `RECORDS` for many, and for what is in no file."""
+    paths = dict.fromkeys(f"{r.read['path']}{'@' * bool(r.read['part'])}{r.read['part']}" for r in records if r.read)
+    whole = all(r.read and not r.read["windows"] for r in records)
+    listed = [shlex.quote(path) for path in paths] if whole and len(paths) <= MOST_FILES else ["RECORDS"]
+    again = dict.fromkeys(f"--resample {r.read['resample']:g}" for r in records if r.read and r.read["resample"])
+    return " ".join([*listed, "--model", shlex.quote(card.path or card.name), *again])
 
 
 class PageContext(NamedTuple):

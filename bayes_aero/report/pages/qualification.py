@@ -195,14 +195,16 @@ def _excess(o: Outside) -> str:
     return ", ".join(f"{symbol(name)} {x:+.2g}{unit_behind(units[name][0])}" for name, x in shown.items())
 
 
-def qualification_screen(q: Qualification, result: str = "RESULT") -> Screen:
-    """The verdict for each tolerance, with the probabilities to pass."""
+def qualification_screen(q: Qualification, result: str = "RESULT", failures: Sequence[str] = ()) -> Screen:
+    """The verdict for each tolerance, with the probabilities to pass; `failures`: parts that went wrong."""
     record, mend = parts.record_block((), q.health, q.consistency)
     messages = doubts_of([*sentences(q), *further_sentences(q.further)])
     points = [] if q.further is None else _order_sentence([asdict(p) for p in q.further.points])
     shown = [sentence(f"model_{q.whole.value}"), verdict_table(q)]
     export = [sentence("next_export", result=result)] if q.whole.value == "passes" else []
-    return Screen(record, shown, claims(messages), [*mend, *points, *actions(messages), *export])
+    return Screen(
+        record, shown, [*failures, *claims(messages), *q.notes], [*mend, *points, *actions(messages), *export]
+    )
 
 
 def sentences(q: Qualification) -> tuple[str, ...]:
@@ -249,8 +251,7 @@ def qualification_page(q: Qualification, card: Card, source: Mapping[str, Any]) 
     return Report(
         title=f"Qualification: {card.title}",
         subtitle="Probability that the simulation stays inside its tolerances",
-        verdict="",
-        screen=qualification_screen(q).blocks(),
+        verdict=qualification_screen(q),
         lead=[signature, list(sentences(q))],
         sections=[
             section("further", "What would decide the rest", lambda: (list(further_sentences(further)), what)),

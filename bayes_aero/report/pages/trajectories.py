@@ -49,7 +49,7 @@ def simulation_gain(flown: Trajectories) -> str:
         if not all(p.inside for p in unseen) or not all(rms) or not all(np.isfinite(of).all() for of in rms):
             return ""
         errors[output] = [float(np.sqrt(np.mean(np.square(of)))) for of in rms]
-    most = sorted(errors, key=lambda n: -abs(math.log(errors[n][1] / errors[n][0])))[:MOST_OUTPUTS]
+    most = sorted(errors, key=lambda n: min(errors[n]) / (max(errors[n]) or 1.0))[:MOST_OUTPUTS]
     both = {n: amounts(SI[n], *errors[n]) for n in errors if n in most}
     listed = [f"{symbol(n)} {x[0]} → {x[1]}{x[2]}" for n, x in both.items() if x[0] != x[1]]
     if not listed:
@@ -111,7 +111,7 @@ def status_sentences(flown: Trajectories) -> list[str]:
             names = f" ({several(fit.at_bound)})" if fit.at_bound else ""
             stopped = "stopped before the optimum, so its errors may be too large"
             how = stopped if fit.status.name == "NOT_CONVERGED" else fit.status.value
-            sentences.append(f"{who}, fitted to the trajectories: {how}{names}.")
+            sentences.append(sentence("ended", what=f"{who}, fitted to the trajectories", status=f"{how}{names}"))
     return sentences
 
 
@@ -268,7 +268,7 @@ def settled_sentences(
 
 def process_noise_sentences(disturbed: ProcessNoise, flown: TrajectoryFit) -> list[str]:
     if not disturbed.converged:
-        return [f"The fit with process noise is not usable: {disturbed.status}."]
+        return [sentence("ended", what="The fit with process noise", status=disturbed.status)]
     predicted = [] if disturbed.one_step is None else prediction_sentences(disturbed.one_step)
     if disturbed.gain <= 0.0:
         return [sentence("process_noise_no_gain"), *predicted]
