@@ -7,8 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
     from bayes_aero.study.run import Planned, Study, Unit, UnitRunner
 
 CHANGES = 8  # lines for what trajectories change of the first answer of diagnose
-MOST = 5  # candidates of each stage on a terminal, where there is no cause
 
 
 @terminal.with_options
@@ -60,8 +58,7 @@ def identify(
     with terminal.loading():
         from bayes_aero.flight.card import read_card
         from bayes_aero.jobs import identify as job
-        from bayes_aero.report.pages.estimates import verdict
-        from bayes_aero.report.pages.identification import identification_screen, next_flight_table, parameter_table
+        from bayes_aero.report.pages.identification import identification_screen
         from bayes_aero.simulate.demo import TRUTH, demo_records
 
     truth = None
@@ -72,15 +69,9 @@ def identify(
     with terminal.working(out, timings) as tell:
         identification = job.identify(flights, card, options, out=out, truth=truth, progress=tell)
 
-    def everything(console: Console) -> None:
-        console.print(parameter_table(identification).terminal())
-        if identification.next_flight is not None:
-            console.print(next_flight_table(identification).terminal())
-        terminal.print_lines(console, verdict(identification), identification.notes)
-
     screen = identification_screen(identification, card, flights)
-    file = out / "results.json" if json else None
-    terminal.conclude(screen, [f"Results are in {out}"], identification, everything, verbose=verbose, json=file)
+    file, text = out / "results.json" if json else None, out / "report.txt" if verbose else None
+    terminal.conclude(screen, [f"Results are in {out}"], identification, text=text, json=file)
 
 
 @terminal.with_options
@@ -131,27 +122,9 @@ def diagnose(
         terminal.print_screen(changed, CHANGES, quiet=json)
     # Trajectories alone are fitted to the record as it is.
     terminal.conclude(
-        None, (*written, f"Results are in {out}"), outcome, partial(print_diagnosis, outcome), verbose=verbose,
+        None, (*written, f"Results are in {out}"), outcome, text=out / "report.txt" if verbose else None,
         json=out / "diagnosis.json" if json else None, corrects=outcome.diagnosis.by_coefficients,
     )  # fmt: skip
-
-
-def print_diagnosis(outcome: Outcome, console: Console) -> None:
-    """All that a diagnosis has found."""
-    from bayes_aero.report.pages.diagnosis import causes_table, in_band_sentences, screen_table, sentences
-    from bayes_aero.report.pages.qualification import points_sentences
-    from bayes_aero.report.pages.trajectories import hold_out_table
-
-    d, rankings = outcome.diagnosis, outcome.view.rankings
-    verdict, *rest = sentences(outcome.view)
-    console.print(verdict, highlight=False, style="bold")
-    if d.causes or rankings:
-        first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
-        console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
-    if outcome.view.trajectories is not None:
-        console.print(hold_out_table(outcome.view.trajectories, brief=True).terminal())
-    more = (*in_band_sentences(outcome.in_band), *points_sentences(outcome.test_points))
-    terminal.print_lines(console, (*rest, *more), outcome.notes)
 
 
 @terminal.with_options
@@ -217,26 +190,12 @@ def conclude_fit(
     verbose: bool, json: bool, compared: bool = True, doubtful: bool = False,
 ) -> None:  # fmt: skip
     from bayes_aero.jobs.results import RESULTS
-    from bayes_aero.report.pages import fly as of_fit
-    from bayes_aero.report.pages import trajectories
-
-    flown, beside = flight.flown, flight.process_noise
-
-    def everything(console: Console) -> None:
-        tables = [of_fit.parameter_table(flown)]
-        if beside is not None and beside.converged:
-            tables.append(trajectories.process_noise_table(beside, flown))
-            tables += [] if beside.one_step is None else [trajectories.one_step_table(beside.one_step, flown.units)]
-        tables += [trajectories.posterior_table(flight.posteriors)] if flight.posteriors else []
-        tables.append(of_fit.error_table(flown))
-        tables += [of_fit.mode_table(flight.motion)] if flight.motion is not None and flight.motion.modes else []
-        for table in tables:
-            console.print(table.terminal())
-        terminal.print_lines(console, flight.sentences, flight.notes)
+    from bayes_aero.report.pages.fly import fly_screen
 
     terminal.conclude(
-        of_fit.fly_screen(flight, card, records), [f"Results are in {out}"], flight, everything, verbose=verbose,
-        json=out / RESULTS if json else None, compared=compared, failed=not flown.converged, doubtful=doubtful,
+        fly_screen(flight, card, records), [f"Results are in {out}"], flight,
+        text=out / "report.txt" if verbose else None, json=out / RESULTS if json else None,
+        compared=compared, failed=not flight.flown.converged, doubtful=doubtful,
     )  # fmt: skip
 
 
@@ -328,19 +287,15 @@ def qualify(
     terminal.check_result(result)
     with terminal.loading():
         from bayes_aero.jobs.qualify import RESULTS, qualify_result
-        from bayes_aero.report.pages.qualification import further_sentences, qualification_screen, sentences
+        from bayes_aero.report.pages.qualification import qualification_screen
 
     with terminal.working(out, timings) as tell:
         qualification, failures = qualify_result(result, tuple(records or ()), options, out=out, progress=tell)
 
-    def everything(console: Console) -> None:
-        origins = [f"{name}: {text}" for name, text in qualification.origins.items()]
-        terminal.print_lines(console, (*sentences(qualification), *further_sentences(qualification.further), *origins))
-
     screen = qualification_screen(qualification, result, failures)
     terminal.conclude(
-        screen, [f"Results are in {out}; qualification.html is to be signed or refused"], qualification, everything,
-        verbose=verbose, json=out / RESULTS if json else None, failures=failures,
+        screen, [f"Results are in {out}; qualification.html is to be signed or refused"], qualification,
+        text=out / "qualification.txt" if verbose else None, json=out / RESULTS if json else None, failures=failures,
     )  # fmt: skip
 
 

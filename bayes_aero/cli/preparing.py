@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -20,7 +19,7 @@ from bayes_aero.jobs.options import ReadingOptions
 from bayes_aero.simulate import Manoeuvre, SimulatedNoise
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import CheckReport
+    pass
 
 
 @terminal.with_options
@@ -41,7 +40,7 @@ def check(
     """
     with terminal.loading():
         from bayes_aero.flight.card import read_card
-        from bayes_aero.jobs.check import check_records, check_results, write_check
+        from bayes_aero.jobs.check import check_records, check_results, page_of_check, write_check
         from bayes_aero.report.pages.check import check_screen
 
     card, how = read_card(reading.model), {"resample": reading.resample, "split": reading.split}
@@ -58,42 +57,12 @@ def check(
     if out is not None:
         console.print(f"The report is in {out / 'report.html'}", soft_wrap=True)
     if verbose:
-        console.print(terminal.ALL, style="bold")
-        print_report(console, report)
-        terminal.print_failures(console, failures)
+        from bayes_aero.report.page import as_text
+
+        terminal.print_findings(as_text(page_of_check(report, seed)))
     if failures or not report.usable:
         raise typer.Exit(terminal.FAILED)
     terminal.exit_in_doubt(report.consistency, report.health, corrects=False)
-
-
-def print_report(console: Console, report: CheckReport) -> None:
-    from bayes_aero.report.pages import check as text
-    from bayes_aero.report.pages.check import channel_table, sampling
-
-    doubt, sentences = report.consistency.disagrees, text.sensor_sentences(report)
-    for caution in (*report.cautions, *sentences[:doubt]):
-        console.print(f"! {caution}", style="yellow")
-    for r, unused in zip(report.records, text.unused_columns(report), strict=True):
-        console.print(r.path, style="bold", end="", soft_wrap=True)
-        console.print(f": {sampling(r)}", soft_wrap=True)
-        if r.gaps or r.uneven:
-            console.print(f"{r.gaps} gaps, {r.uneven} uneven steps")
-        console.print(channel_table(r).terminal())
-        if r.missing:
-            console.print(f"on the card, not in the file (not required): {', '.join(r.missing)}")
-        if unused:
-            console.print(f"in the file, not on the card: {', '.join(unused)}")
-        for sentence in (*r.remarks, *text.part_sentences(r)):
-            console.print(sentence, soft_wrap=True)
-        for problem in r.problems:
-            console.print(f"✗ {problem}", style="red")
-    for sentence in (*text.card_sentences(report), *text.use_sentences(report), *sentences[doubt:]):
-        console.print(sentence)
-    for name, error in report.sensors.errors.items():
-        faint = " (too small to be named)" if error["minor"] else ""
-        console.print(f"  {name}: {error['claim']} {text.parts.error_sizes(error)}{faint}")
-    if not report.sensors.note:
-        console.print(f"  {text.left_over(report)}")
 
 
 def card(

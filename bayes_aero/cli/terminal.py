@@ -33,7 +33,6 @@ BAD_INPUT = 2
 DOUBT = 3  # done and written, but sensors disagree or a channel is faulty
 INTERRUPTED = 130
 COLUMNS = 100  # of the screen, where the terminal has as many
-ALL = "All findings"
 
 SUFFIXES = ".csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc"
 RECORDS = f"Flight records ({SUFFIXES}), or parts of them, FILE@FROM:TO in seconds"
@@ -159,13 +158,9 @@ def print_failures(console: Console, failures: Sequence[str]) -> None:
         console.print(f"✗ {sentence}", style="red", highlight=False, soft_wrap=True)
 
 
-def print_lines(console: Console, sentences: Sequence[str], notes: Sequence[str] = ()) -> None:
-    """Sentences, those that are doubts with a mark, then remarks."""
-    from bayes_aero.report.phrases import is_doubtful
-
-    marked = [("!" if is_doubtful(line) else "•", line) for line in sentences]
-    for mark, line in (*marked, *(("!", note) for note in notes)):
-        console.print(f"{mark} {line}", highlight=False)
+def print_findings(text: str) -> None:
+    """All that a page says, below the screen."""
+    typer.echo(f"All findings\n{text}", nl=False)
 
 
 def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding], *, corrects: bool) -> None:
@@ -180,9 +175,8 @@ def conclude(
     screen: Screen | None,
     written: Sequence[str],
     outcome: Any,
-    everything: Callable[[Console], None],
     *,
-    verbose: bool,
+    text: Path | None,
     json: Path | None,
     corrects: bool = False,
     compared: bool = True,
@@ -191,11 +185,8 @@ def conclude(
     doubtful: bool = False,
 ) -> None:
     """Show what a job has found on one screen (None: it is shown already) and what was `written` (or the file `json`),
-    if `verbose` then all it has to say, and leave with its code. `corrects`: it takes known errors of sensors out;
-    `compared`: the sensors were; `failed`: the result is of no use; `doubtful`: it is in doubt whatever the records
-    are."""
-    from bayes_aero.report.pages.parts import consistency_sentences
-
+    then the file `text`, and leave with its code. `corrects`: it takes known errors of sensors out; `compared`: the
+    sensors were; `failed`: the result is of no use; `doubtful`: it is in doubt whatever the records are."""
     failed_parts: Sequence[str] = outcome.failures if failures is None else failures
     agreement: Consistency | None = outcome.consistency if compared else None
     if json is not None:
@@ -206,13 +197,8 @@ def conclude(
             print_screen(screen)
         for line in written:
             console.print(line, highlight=False, soft_wrap=True)
-    if verbose and json is None:
-        console.print(ALL, style="bold")
-        print_failures(console, failed_parts)
-        print_lines(console, (), [finding.sentence for finding in outcome.health])
-        if agreement is not None:
-            print_lines(console, consistency_sentences(agreement, corrects=corrects))
-        everything(console)
+        if text is not None and text.exists():
+            print_findings(text.read_text(encoding="utf-8"))
     if failed or failed_parts:
         raise typer.Exit(FAILED)
     if doubtful:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.progress import Progress
 from bayes_aero.report.phrases import several
 from bayes_aero.residuals.base import too_few_windows
+
+if TYPE_CHECKING:
+    from bayes_aero.report.page import Report
 
 
 @dataclass(frozen=True)
@@ -202,9 +205,14 @@ def check_results(report: CheckReport) -> dict[str, Any]:
 def write_check(report: CheckReport, out: Path, seed: int = 0) -> tuple[str, ...]:
     """Write check.json and report.html into `out`; a sentence on what of the page cannot be made."""
     from bayes_aero.report.page import put_page  # heavy, and most checks write nothing
-    from bayes_aero.report.pages.check import check_page
 
     writable(out)
     write_json(check_results(report), out / "check.json")
-    source = provenance(report.card, [r.record for r in report.records if r.record is not None], seed, {})
-    return put_page(lambda: check_page(report, source), out)
+    return put_page(lambda: page_of_check(report, seed), out)
+
+
+def page_of_check(report: CheckReport, seed: int) -> Report:
+    from bayes_aero.report.pages.check import check_page
+
+    sound = [r.record for r in report.records if r.record is not None]
+    return check_page(report, provenance(report.card, sound, seed, {}))

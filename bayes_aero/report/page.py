@@ -12,21 +12,19 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
+from rich.console import Console
 
 from bayes_aero import __version__
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import failure
 from bayes_aero.report.phrases import is_doubtful
 from bayes_aero.report.screen import Screen
-from bayes_aero.report.table import Table, cell_text
-
-FOLDED = 25  # characters in a line of a column of text
+from bayes_aero.report.table import Table, TextTable
 
 
 class Text(NamedTuple):
@@ -43,25 +41,6 @@ class Points(NamedTuple):
 
 class Facts(NamedTuple):
     items: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True)
-class HtmlTable:
-    """Rows of text under headings (of numbers: `page_table`); the first cell of a row is its heading."""
-
-    caption: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    groups: tuple[tuple[str, int], ...] = ()  # with the number of headings that each spans
-    words: tuple[int, ...] = ()  # columns that hold text (left-aligned) beside the first
-    note: str = ""
-    links: tuple[str, ...] = ()  # relative addresses that the first cells lead to, one a row, empty for none
-
-    def across(self) -> int:
-        """Characters in a row, with room between columns; text can be folded."""
-        columns = zip(*self.rows, strict=True) if self.rows else ()
-        widths = [max(len(line) for cell in column for line in cell.split("\n")) for column in columns]
-        return sum(2 + min(w, FOLDED) if i in self.words else 2 + w for i, w in enumerate(widths))
 
 
 class Picture(NamedTuple):
@@ -87,7 +66,7 @@ class Fold(NamedTuple):
     blocks: tuple[Block, ...]
 
 
-Block = Text | Points | Facts | HtmlTable | Picture | Plot | Fold
+Block = Text | Points | Facts | TextTable | Picture | Plot | Fold
 
 
 class Section(NamedTuple):
@@ -121,7 +100,7 @@ def blocks(*parts: Any) -> tuple[Block, ...]:
         if isinstance(part, Block):
             made.append(part)
         elif isinstance(part, Table):
-            made.append(page_table(part))
+            made.append(part.text())
         elif isinstance(part, str):
             made += [Text(part, "warning" if is_doubtful(part) else "plain")] if part else []
         elif isinstance(part, list) and part and all(isinstance(item, str) for item in part):
@@ -170,15 +149,49 @@ def render(page: Report) -> str:
     )
 
 
-def write_page(page: Report, path: Path) -> Path:
-    return write_whole(render(page), path)
+WIDTH, WIDEST = 100, 240  # characters in a line of the text, and in one of a table
+
+
+def as_text(page: Report) -> str:
+    """All that the page says, for a terminal: text and tables; of figures what they show."""
+    console = Console(file=io.StringIO(), width=WIDTH, markup=False, highlight=False)
+    _print_blocks(console, page.lead)
+    for section in page.sections:
+        console.print(f"\n{section.title}\n{'-' * len(section.title)}")
+        _print_blocks(console, section.blocks)
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    return "".join(f"{line.rstrip()}\n" for line in lines)
+
+
+def _print_blocks(console: Console, blocks: Iterable[Block]) -> None:
+    for block in blocks:
+        match block:
+            case Text():
+                console.print(f"{'! ' * (block.tone == 'warning')}{block.text}")
+            case Points():
+                console.print("\n".join(f"• {item}" for item in block.items))
+            case Facts():
+                console.print("\n".join(f"{name}: {fact}" for name, fact in block.items))
+            case TextTable():
+                console.print(f"\n{block.caption}")
+                Console(file=console.file, width=WIDEST, markup=False).print(block.terminal())
+                console.print(block.note)
+            case Picture() | Plot():
+                console.print(f"[Figure] {block.alt if isinstance(block, Plot) else block.caption}")
+            case Fold():
+                console.print(f"\n{block.title}")
+                _print_blocks(console, block.blocks)
 
 
 def put_page(make: Callable[[], Report], folder: Path, name: str = "report.html") -> tuple[str, ...]:
-    """Write the page `name` into `folder`; a sentence on each failure, of the page or of sections that say it there."""
+    """Write the page `name` and its text (.txt) into `folder`; a sentence on each failure, of the page or of sections
+    that say it there."""
+    text = (folder / name).with_suffix(".txt")
+    text.unlink(missing_ok=True)  # of an earlier run
     try:
         page = make()
-        write_page(page, folder / name)
+        write_whole(render(page), folder / name)
+        write_whole(as_text(page), text)
     except Exception as reason:  # the numbers are on disk already; whatever it is, they stand
         return (failure(f"{name} was not written", reason, folder),)
     blocks = (block for section in page.sections for block in section.blocks)
@@ -197,25 +210,6 @@ def _plots(blocks: Iterable[Block]) -> Iterable[Plot]:
             yield block
         elif isinstance(block, Fold):
             yield from _plots(block.blocks)
-
-
-def page_table(table: Table) -> HtmlTable:
-    """The columns that have a heading on a page, every cell as text."""
-    shown = [(head, c, values) for c in table.columns for head, values in c.under(c.page)]
-    groups = tuple((group, len(list(some))) for group, some in groupby(c.group for _, c, _ in shown))
-    rows = list(zip(*([cell_text(x, c.form) for x in values] for _, c, values in shown), strict=True))
-    if len(set(table.below)) > 1:
-        first = [k for k, name in enumerate(table.below) if k == 0 or name != table.below[k - 1]]
-        for k in reversed(first):
-            rows.insert(k, (table.below[k], *[""] * (len(shown) - 1)))
-    return HtmlTable(
-        table.title,
-        tuple(head for head, *_ in shown),
-        tuple(rows),
-        groups if any(group for group, _ in groups) else (),
-        tuple(k for k, (_, c, _) in enumerate(shown) if c.words),
-        table.note,
-    )
 
 
 class Gallery(NamedTuple):

@@ -59,7 +59,7 @@ class Screen:
                 if isinstance(part, Table):
                     left = len(part.columns[0].values) - rows
                     columns = [replace(c, values=list(c.values)[:rows]) for c in part.columns]
-                    grid.add_row(head, replace(part, columns=columns).terminal())
+                    grid.add_row(head, replace(part, columns=columns).text().terminal())
                     if left > 0:
                         grid.add_row("", sentence("more_rows", n=left))
                     continue

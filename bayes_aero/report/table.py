@@ -1,4 +1,4 @@
-"""One table of numbers, from which a terminal, a file and a page (`html.page_table`) show what they have room for."""
+"""One table of numbers: a file has every digit, a page and a terminal what people read."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 
 NONE = "–"
 NORMAL95 = 1.959964
-NARROWEST = 12  # letters that a column of words keeps, if a word is as long
+FOLDED = 25  # characters in a line of a column of text
+NARROWEST = 12  # of them that it keeps on a terminal, if a word is as long
 Form = str | int | Callable[[Any], str]
 """How a value is written: a format specification, how many significant digits, or a function."""
 Heads = str | tuple[str, ...] | None
@@ -66,11 +68,9 @@ class Column:
 
     values: Sequence[Any]
     files: str | tuple[str, ...] = ""  # name in files, and key in JSON
-    page: Heads = None  # heading there
-    terminal: str | None = None  # heading there
+    page: Heads = None  # heading for people, on a page or a terminal
     form: Form = ""  # how people read a value
-    terminal_form: Form = ""  # how it is written on a terminal, if differently there
-    group: str = ""  # heading above that on a page
+    group: str = ""  # heading above that
     words: bool = False  # whether it is text that may be folded
 
     def under(self, heads: Heads) -> Iterator[tuple[str, list[Any]]]:
@@ -93,12 +93,9 @@ class Table:
 
     columns: Sequence[Column]
     title: str = ""
-    note: str = ""  # explanation on a page
-    terminal_title: str | None = None  # if another or (empty) none
-    terminal_note: str = ""
+    note: str = ""  # explanation for people
     index: int = 1  # how many columns of a file name the row
-    below: Sequence[str] = ()  # on a page each row stands below this name, if there are several names
-    dense: bool = False  # whether the terminal has one space between columns
+    below: Sequence[str] = ()  # for people each row stands below this name, if there are several names
 
     def _filed(self) -> dict[str, list[Any]]:
         return {name: values for c in self.columns for name, values in c.under(c.files) if name}
@@ -118,51 +115,66 @@ class Table:
         frame = frame.explode(several).infer_objects() if several else frame
         return frame.set_index(names[: self.index]) if self.index else frame
 
+    def text(self) -> TextTable:
+        """The columns that have a heading for people, every cell as text."""
+        shown = [(head, c, values) for c in self.columns for head, values in c.under(c.page)]
+        groups = tuple((group, len(list(some))) for group, some in groupby(c.group for _, c, _ in shown))
+        rows = list(zip(*([cell_text(x, c.form) for x in values] for _, c, values in shown), strict=True))
+        if len(set(self.below)) > 1:
+            first = [k for k, name in enumerate(self.below) if k == 0 or name != self.below[k - 1]]
+            for k in reversed(first):
+                rows.insert(k, (self.below[k], *[""] * (len(shown) - 1)))
+        heads, words = tuple(head for head, *_ in shown), tuple(k for k, (_, c, _) in enumerate(shown) if c.words)
+        return TextTable(self.title, heads, tuple(rows), groups if any(g for g, _ in groups) else (), words, self.note)
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Rows of text under headings; the first cell of a row is its heading."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    groups: tuple[tuple[str, int], ...] = ()  # with the number of headings that each spans
+    words: tuple[int, ...] = ()  # columns that hold text (left-aligned) beside the first
+    note: str = ""
+    links: tuple[str, ...] = ()  # relative addresses that the first cells lead to, one a row, empty for none
+
+    def across(self) -> int:
+        """Characters in a row, with room between columns; text can be folded."""
+        columns = zip(*self.rows, strict=True) if self.rows else ()
+        widths = [max(len(line) for cell in column for line in cell.split("\n")) for column in columns]
+        return sum(2 + min(w, FOLDED) if i in self.words else 2 + w for i, w in enumerate(widths))
+
     def terminal(self) -> rich.Table:
-        space = (0, 0 if self.dense else 1, 0, 0)
-        title = self.title if self.terminal_title is None else self.terminal_title
-        shown = rich.Table(
-            title=Text(title) if title else None,
-            caption=Text(self.terminal_note) if self.terminal_note else None,
-            box=SIMPLE_HEAD,
-            padding=space,
-            pad_edge=False,
-            show_edge=False,
-        )
-        columns = [c for c in self.columns if c.terminal is not None]
-        for k, c in enumerate(columns):
-            left = k == 0 or c.words or any(isinstance(x, str) for x in c.values)
-            most = 12 if self.dense and not left else None
-            spaced = left and any(isinstance(x, str) and " " in x for x in c.values)
-            folds = bool(most) or c.words or spaced or any(isinstance(x, BeforeAfter) for x in c.values)
-            longest = max((len(word) for x in c.values if isinstance(x, str) for word in x.split()), default=0)
+        shown = rich.Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
+        above = [group for group, span in self.groups or (("", len(self.head)),) for _ in range(span)]
+        for k, (head, group) in enumerate(zip(self.head, above, strict=True)):
+            left, cells = k == 0 or k in self.words, [row[k] for row in self.rows]
+            text = left or any(" " in cell for cell in cells)
+            longest = max((len(word) for cell in cells for word in cell.split()), default=0)
             shown.add_column(
-                Text(c.terminal or ""),
+                Text(f"{group}\n{head}" if group else head),
                 justify="left" if left else "right",
-                overflow="fold" if folds else "ellipsis",
-                max_width=most,
-                min_width=min(longest, NARROWEST) if folds and left else None,
-                no_wrap=not folds,
+                overflow="fold",
+                min_width=min(longest, NARROWEST) if text else longest,
             )
-        cells = ([cell_text(x, c.terminal_form or c.form, concise, "\n") for x in c.values] for c in columns)
-        for row in zip(*cells, strict=True):
+        for row in self.rows:
             shown.add_row(*map(Text, row))
         return shown
 
 
 def table(key: str, columns: Sequence[Column], /, **values: Any) -> Table:
-    """A `Table` whose titles and notes `words.toml` has, with their values; `index`, `below`, `dense` are its own."""
-    layout = {name: values[name] for name in ("index", "below", "dense") if name in values}
+    """A `Table` whose title and note `words.toml` has, with their values; `index` and `below` are its own."""
+    layout = {name: values[name] for name in ("index", "below") if name in values}
     texts: dict[str, Any] = {name: filled(text, **values) for name, text in WORDS["tables"][key].items()}
-    if both := texts.pop("both", ""):
-        texts |= {"note": both, "terminal_note": both}
     return Table(columns, **layout, **texts)
 
 
-def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = plus_minus, between: str = "; ") -> str:
-    """A value as people read it, a dash where there is none; several of them with `between` between them."""
+def cell_text(value: Any, form: Form) -> str:
+    """A value as people read it, a dash where there is none; several of them with semicolons."""
     if isinstance(value, list):
-        return between.join(cell_text(element, form, estimate, between) for element in value)
+        return "; ".join(cell_text(element, form) for element in value)
     if isinstance(value, BeforeAfter):
         return " → ".join(cell_text(part, form) for part in value)
     size = value.centre if isinstance(value, Estimate) else value
@@ -171,7 +183,7 @@ def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = 
     if callable(form):
         return form(value)
     if isinstance(value, Estimate):
-        return estimate(value.centre, value.sd)
+        return plus_minus(value.centre, value.sd)
     return number(value, form) if isinstance(form, int) else format(value, re.sub(r"^(\+?)(?=\.)", r"\1z", form))
 
 
@@ -181,7 +193,7 @@ def with_error(e: Estimate) -> str:
 
 
 def in_brackets(e: Estimate) -> str:
-    """An estimate with its standard error in units of the last digit, also where a page has no room for ±."""
+    """An estimate with its standard error in units of the last digit, where there is no room for ±."""
     return concise(e.centre, e.sd)
 
 
@@ -196,9 +208,9 @@ def or_dash(text: str) -> str:
 
 
 def parameter_columns(names: Sequence[str], units: Sequence[str]) -> list[Column]:
-    """Parameters with their units, which stand behind the names on a page."""
+    """Parameters with their units, which people read behind the names."""
     both = [f"{name} {bracket(plain_unit(unit))}" for name, unit in zip(names, units, strict=True)]
-    apart = Column(names, "parameter", terminal=""), Column(units, "unit", terminal="unit")
+    apart = Column(names, "parameter"), Column(units, "unit")
     return [*apart, Column(both, page="parameter")]
 
 

@@ -341,8 +341,9 @@ def test_what_a_lost_channel_costs_is_said(program, flights, tmp_path):
     card.write_text(text.replace('az = { column = 4, label = "AZCG", unit = "m/s^2" }\n', ""))
     done = succeeded(program("check", flights.sound, "--model", card, "--no-sensors"))  # trajectories are left
     assert list(tmp_path.iterdir()) == [card]
-    holds(" ".join(done.out.split()), "identify: not possible, no channel az", "because channel az")
-    assert "'AZCG'" in done.out.split("in the file, not on the card:")[1].splitlines()[0]
+    said = " ".join(done.out.split())
+    holds(said, "identify: not possible, no channel az", "because channel az")
+    assert "'AZCG'" in said.split("In the file, not on the card: ")[1].split(". ")[0]
 
 
 def test_a_full_disk_is_one_sentence(program, flights, monkeypatch):
@@ -382,7 +383,7 @@ def test_columns_that_the_card_does_not_map_are_listed_once(program, flights):
     for name, part in {"a": table.iloc[:500], "b": table.iloc[500:], "c": table.iloc[500:].assign(other=2.0)}.items():
         part.to_csv(f"{name}.csv", index=False)
     out = " ".join(program("check", "a.csv", "b.csv", "c.csv", "--no-sensors").out.split())
-    first, second = [part.split(".csv")[0] for part in out.split("in the file, not on the card: ")[1:]]
+    first, second = [part.split(". ")[0] for part in out.split("In the file, not on the card: ")[1:]]
     assert "'spare'" in first
     assert "'other'" not in first
     assert "'spare', 'other'" in second

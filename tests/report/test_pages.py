@@ -20,8 +20,9 @@ from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.results import RESULTS, Outcome
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.page import Fold, HtmlTable, Picture, Plot, Report, Text, page_table, put_page, render, section
+from bayes_aero.report.page import Fold, Picture, Plot, Report, Text, as_text, put_page, render, section
 from bayes_aero.report.pages.diagnosis import diagnosis_page
+from bayes_aero.report.pages.estimates import verdict
 from bayes_aero.report.pages.fly import error_table, fly_page, initial_table, motion_sentences
 from bayes_aero.report.pages.fly import parameter_table as trajectory_parameters
 from bayes_aero.report.pages.identification import identification_page, identification_screen, parameter_table
@@ -29,6 +30,7 @@ from bayes_aero.report.pages.parts import PageContext, at_a_glance, stall_table
 from bayes_aero.report.pages.study import MOST_UNITS, estimates, study_headline, study_page
 from bayes_aero.report.plots import Line, Panel, extremes, linked
 from bayes_aero.report.style import NotDrawn
+from bayes_aero.report.table import TextTable
 
 HOSTILE = """<script>alert(1)</script>"'&$$x$$</title>"""
 
@@ -50,7 +52,7 @@ class Outline(HTMLParser):
 
 
 def test_whatever_comes_from_a_run_is_escaped():
-    table = HtmlTable(HOSTILE, (HOSTILE, "b"), ((HOSTILE, HOSTILE),), ((HOSTILE, 2),), note=HOSTILE)
+    table = TextTable(HOSTILE, (HOSTILE, "b"), ((HOSTILE, HOSTILE),), ((HOSTILE, 2),), note=HOSTILE)
     picture = Picture("data:,", HOSTILE, 3, 2, 2)
     panel = Panel("CL", "1", (Line("measured", "#000000", np.arange(3.0)),))
     item = {**linked(np.arange(3.0), [panel], "time"), "more": HOSTILE}
@@ -78,11 +80,24 @@ def test_a_page_is_sound_asks_nothing_of_a_network_and_shows_the_numbers(full):
     holds(Outline(html).text, *parts, *full.mle.names)
 
 
+def test_the_text_of_a_page_has_every_sentence_and_every_number(full, simulated):
+    """Only words are folded."""
+    run = replace(full, notes=("It rained.",))
+    page = identification_page(run, provenance(full.card, full.records, 0, {}), {}, simulated.paths)
+    text = as_text(page)
+    spaced = " ".join(text.split())
+    holds(spaced, *(section.title for section in page.sections), "! It rained.")
+    holds(spaced, *(" ".join(sentence.split()) for sentence in verdict(run)))
+    tables = [block for section in page.sections for block in section.blocks if isinstance(block, TextTable)]
+    assert len(tables) >= 4
+    holds(text, *(line for table in tables for row in table.rows for cell in row[1:] for line in cell.split("\n")))
+
+
 def test_the_identified_model_is_flown_on_the_page(full, simulated):
     off = [path for path in simulated.paths if (path.model, path.split) == ("card", "fitted")]
     page = identification_page(full, {}, {}, off)
     (part,) = [s for s in page.sections if s.key == "simulated"]
-    (table,) = [b for b in part.blocks if isinstance(b, HtmlTable)]
+    (table,) = [b for b in part.blocks if isinstance(b, TextTable)]
     assert table.rows[0][0] == "a, first half"
     row = dict(zip(table.head, next(row for row in table.rows if row[0] == "α [deg]"), strict=True))
     assert row["simulation"] == "100%"  # alpha is off by a degree, inside two hundredths of a radian
@@ -91,7 +106,7 @@ def test_the_identified_model_is_flown_on_the_page(full, simulated):
 
 
 def test_parameters_are_those_of_every_method(full):
-    table = page_table(parameter_table(full))
+    table = parameter_table(full).text()
     row = next(cells for cells in table.rows if cells[0].startswith("Cmde "))
     assert row[0] == "Cmde [1/rad]"
     assert row[1:3] == ("-0.800 ± 0.010", "-0.800 ± 0.040")  # the bound and four times it
@@ -164,7 +179,7 @@ def test_a_diagnosis_shows_causes_gain_and_what_is_open(diagnosed, flown, card):
     holds(text, *(cause.claim for cause in flown.diagnosis.causes))
     holds(text, "a or b: expected to be decided, 6.2 standard errors", "thrust steps", "4 to 12", "0.71 to 1.52")
     holds(text, "Hidden effect: alpha_bias", "Trajectories, before and after", "time inside", "CLmax")
-    table = next(b for b in page.sections[2].blocks if isinstance(b, HtmlTable))
+    table = next(b for b in page.sections[2].blocks if isinstance(b, TextTable))
     assert [row[0] for row in table.rows] == ["CL", "CD", "Cm"]
     assert "was not made" not in text
     assert "manoeuvre by manoeuvre" not in text  # there is one
@@ -245,7 +260,7 @@ def test_every_part_is_made_and_nothing_else():
 
 def test_parameters_stand_with_both_deviations_and_their_bounds():
     flown = flight().flown
-    table = page_table(trajectory_parameters(flown))
+    table = trajectory_parameters(flown).text()
     assert {row[0].split()[0] for row in table.rows} == set(SHORT_PERIOD_TRUTH)
     for row in table.rows:
         name, first, fit, crb, corrected, prior, bounds, remark = row
@@ -255,7 +270,7 @@ def test_parameters_stand_with_both_deviations_and_their_bounds():
         assert prior == "0 ± 1000, default"
         assert bounds == ("-40 to 0" if name.startswith("Mde ") else "none")
         assert remark == "–"
-    still = page_table(trajectory_parameters(replace(flown, fit=replace(flown.fit, at_bound=("Mde",)))))
+    still = trajectory_parameters(replace(flown, fit=replace(flown.fit, at_bound=("Mde",)))).text()
     assert [row[0] for row in still.rows if row[-1] == "at its bound"] == ["Mde [1/s²]"]
 
 
@@ -273,7 +288,7 @@ def test_numbers_of_a_fit_that_failed_are_warned_of_first():
 def test_errors_of_a_known_offset():
     """Simulated is measured plus a constant: that is the RMS, the largest error, and all of it is bias."""
     flown = with_offsets(flight().flown, {"one": 100, "two": 300}, {"one": 2.0 * DEGREE, "two": -1.5 * DEGREE})
-    rows = page_table(error_table(flown)).rows
+    rows = error_table(flown).text().rows
     assert [row[0] for row in rows] == ["one", "α [deg]", "two", "α [deg]"]
     assert rows[1][1:4] == ("4.0", "2.0", "2.0")
     assert rows[1][5:8] == ("100%", "0%", "0%")
@@ -282,7 +297,7 @@ def test_errors_of_a_known_offset():
     assert after / DEGREE == pytest.approx(np.sqrt((100 * 2.0**2 + 300 * 1.5**2) / 400))
     assert before == pytest.approx(2.0 * after)
     assert [row[8:] for row in rows if row[0].startswith("α")] == [("± 2", "0%", "100%")] * 2
-    alone = page_table(error_table(with_offsets(flight().flown, {"one": 200}, {"one": DEGREE})))
+    alone = error_table(with_offsets(flight().flown, {"one": 200}, {"one": DEGREE})).text()
     assert [row[0] for row in alone.rows] == ["α [deg]"]  # no heading above a single manoeuvre
 
 
@@ -291,7 +306,7 @@ def test_without_tolerances_there_is_no_band():
     assert "tolerance" in legends(fly_page(flown, context()))
     without = {"tolerance": None, "within": None}
     free = tuple(replace(p, errors={n: replace(e, **without) for n, e in p.errors.items()}) for p in flown.paths)
-    assert "tolerance" not in page_table(error_table(replace(flown, paths=free))).head
+    assert "tolerance" not in error_table(replace(flown, paths=free)).text().head
     assert "tolerance" not in legends(fly_page(replace(flown, paths=free), context()))
 
 
@@ -302,20 +317,20 @@ def test_a_simulation_that_is_lost_leaves_the_page_whole():
     errors = {"alpha": replace(flown.paths[0].errors["alpha"], **nothing)}
     gone = {"alpha": np.geomspace(1.0, 1e308, 200)}
     lost = replace(flown, paths=tuple(replace(p, simulated=gone, errors=errors) for p in flown.paths))
-    assert page_table(error_table(lost)).rows[0][1:8] == ("–",) * 7
+    assert error_table(lost).text().rows[0][1:8] == ("–",) * 7
     page = fly_page(lost, context(flown=lost))
     assert not not_made(page)
     assert "first values → fit: α –" in page.screen["Result"][1].text
 
 
 def test_first_states_are_those_flown_and_a_linear_card_shows_its_own_channels():
-    rows = {row[0]: row[1:] for row in page_table(initial_table(flight().flown)).rows[:3]}
+    rows = {row[0]: row[1:] for row in initial_table(flight().flown).text().rows[:3]}
     assert list(rows) == ["one", "α [deg]", "q [deg/s]"]
     assert float(rows["α [deg]"][0]) * DEGREE == pytest.approx(0.04, abs=0.002)
     assert float(rows["q [deg/s]"][0]) * DEGREE == pytest.approx(0.0, abs=0.003)
     measured = flight().flown.path("one", "start").simulated["alpha"][0]
     assert float(rows["α [deg]"][1]) * DEGREE == pytest.approx(float(rows["α [deg]"][0]) * DEGREE - measured, abs=1e-4)
-    (table,) = (b for b in at_a_glance(records(), CARD) if isinstance(b, HtmlTable))
+    (table,) = (b for b in at_a_glance(records(), CARD) if isinstance(b, TextTable))
     heads = [head.replace("\n", " ") for head in table.head[5:]]
     assert heads == ["α [deg]", "q [deg/s]", "az [m/s²]", "δe [deg]"]
 

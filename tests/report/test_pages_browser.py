@@ -9,11 +9,12 @@ import pandas as pd
 import pytest
 from report_samples import CARD, flight, records, study_context
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.jobs.preparing import starter_card
 from bayes_aero.jobs.store import provenance
 from bayes_aero.report.figures import posterior
 from bayes_aero.report.figures.every_figure import draw_all
-from bayes_aero.report.page import section, write_page
+from bayes_aero.report.page import render, section
 from bayes_aero.report.pages.check import card_page
 from bayes_aero.report.pages.fly import fly_page
 from bayes_aero.report.pages.identification import identification_page
@@ -48,7 +49,7 @@ def report(full, simulated, card, tmp_path_factory):
     given = [path for path in simulated.paths if (path.model, path.split) == ("card", "hold_out")]
     page = identification_page(run, source, {path.stem: path for path in drawn}, given)
     flights = section("trajectories", "Trajectories", lambda: trajectories(simulated, card))
-    return write_page(replace(page, sections=(*page.sections, flights)), folder / "report.html")
+    return write_whole(render(replace(page, sections=(*page.sections, flights))), folder / "report.html")
 
 
 @pytest.fixture
@@ -144,13 +145,13 @@ def test_it_prints_with_everything_open_and_the_plots_as_drawn(fresh):
 def fly_report(tmp_path_factory):
     fit, source = flight(), provenance(CARD, records(), 0, {"windows": 12.0})
     page = fly_page(fit.flown, PageContext(CARD, records(), source, {}, replace(fit, notes=("A note.",))))
-    return write_page(page, tmp_path_factory.mktemp("fly") / "report.html")
+    return write_whole(render(page), tmp_path_factory.mktemp("fly") / "report.html")
 
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
-    return write_page(study_page(study_context(folder, failed=(2,))), folder / "report.html")
+    return write_whole(render(study_page(study_context(folder, failed=(2,)))), folder / "report.html")
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +160,7 @@ def starter(tmp_path_factory):
     columns = {"Time_s": time, "AOA_deg": 5.0 + np.sin(time), "A_COLUMN_WITH_A_LONG_NAME_<i>": time, "FN": 900.0 + time}
     pd.DataFrame(columns | {"NZ_g": 1.0 + 0.1 * np.sin(time)}).to_csv(path, index=False)
     page = card_page(starter_card(path), "N1.csv", "N1.toml", provenance(None, [], None, {}))
-    return write_page(page, path.parent / "report.html")
+    return write_whole(render(page), path.parent / "report.html")
 
 
 PAGES = {  # how many figures it has at least, and whether they are over time

@@ -21,7 +21,6 @@ from bayes_aero.report.figures.diagnosis import autocorrelation, telling
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, draw_all
 from bayes_aero.report.figures.posterior import pit_histogram
 from bayes_aero.report.figures.time_histories import broken, predicted
-from bayes_aero.report.page import page_table
 from bayes_aero.report.pages.diagnosis import causes_table, probability, revealed, screen_table, sentences
 from bayes_aero.report.phrases import size_text, symbol
 from bayes_aero.report.style import NotDrawn, close
@@ -210,7 +209,7 @@ def test_tables_hold_every_cause_and_candidate_ranked_once_each(diagnosed):
         assert len(names) == len(set(names))
         assert list(scores) == sorted(scores, reverse=True)
     assert set(causes_table(d).frame()["cause"]) == {c.name for c in d.causes}
-    assert causes_table(d).terminal().row_count == len(d.causes)
+    assert len(causes_table(d).text().rows) == len(d.causes)
     assert len(screen_table(rankings, d).frame()) == sum(len(r.candidate_scores) for r in rankings)
 
 
@@ -223,7 +222,7 @@ def test_a_cause_of_two_parameters_has_a_row_for_each_in_a_file_and_one_for_peop
     assert list(rows["parameter"]) == ["one", "other"]
     assert list(rows["mean"]) == [size.mean, 3.0 * size.mean]
     assert list(rows["probability"]) == [cause.probability] * 2
-    (row,) = page_table(table).rows
+    (row,) = table.text().rows
     assert row[2].split("; ")[1] == f"other {size_text(3.0 * size.mean, size.sd, size.unit)}"
 
 

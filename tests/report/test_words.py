@@ -26,11 +26,10 @@ from bayes_aero.jobs.store import plain
 from bayes_aero.model.observations import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.report import phrases, screen
-from bayes_aero.report.page import page_table
 from bayes_aero.report.pages import trajectories
 from bayes_aero.report.pages.diagnosis import change_sentences, changes_table, diagnosis_sentences
 from bayes_aero.report.pages.estimates import sign_sentences, verdict
-from bayes_aero.report.pages.fly import disagreement_sentences, fly_sentences, outside, parameter_table
+from bayes_aero.report.pages.fly import disagreement_sentences, fly_sentences, outside
 from bayes_aero.report.pages.identification import identification_screen
 from bayes_aero.report.phrases import WORDS, filled, is_doubtful, nats_text, not_testable_sentences, several
 from bayes_aero.report.table import Column, Table
@@ -285,7 +284,7 @@ def test_claims_are_short_and_what_ended_badly_is_the_first_doubt():
 
 
 def test_a_screen_gives_up_rows_then_doubts_for_the_lines_it_has_and_says_what_is_left():
-    table = Table([Column([f"p{k}" for k in range(40)], page="name", terminal="name")])
+    table = Table([Column([f"p{k}" for k in range(40)], page="name")])
     whole = screen.Screen(["Fit."], ["Done.", table], ["a", "b", "c", "d"], ["x", "bayes-aero y", "z"])
     for lines in (28, 12, 9):
         console = Console(width=100, file=io.StringIO())
@@ -370,7 +369,6 @@ def test_a_fit_that_may_come_nearer_or_stands_under_feedback_is_reported():
     flown = replace(flight().flown, following=("elevator",))
     doubt = "converged, but feedback and aircraft cannot be parted (elevator)"
     assert doubt in fly_sentences(flown)[0]
-    assert doubt in str(parameter_table(flown).terminal_title)
     # A single manoeuvre of some seconds is too short for diagnose.
     (text,) = disagreement_sentences([result.Disagreement("CLa", "1/rad", (4.3, 0.1), (3.4, 0.1), 6.4)], "too short")
     assert "diagnose" not in text
@@ -438,7 +436,7 @@ def test_there_is_one_status(calibration, status, parts):
 
 def test_the_table_has_units_and_per_cent():
     table = trajectories.one_step_table(predictions(q=results.Calibration.TOO_WIDE), {"alpha": "rad", "q": "rad/s"})
-    head, *_ = rows = page_table(table).rows
+    head, *_ = rows = table.text().rows
     assert head == ("α [deg]", "0.20", "1.020(30)", "48(4)", "91(2)", "93(2)", "98.5(4)", "calibrated")
     assert [(row[0], row[-1]) for row in rows[1:]] == [("q [deg/s]", "too wide"), ("all together", "calibrated")]
     assert rows[2][1] == "–"

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.page import HtmlTable, Plot, Report, fold, section
+from bayes_aero.report.page import Plot, Report, fold, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.phrases import for_people, not_testable_sentences, sentence, unit_behind
 from bayes_aero.report.plots import COLOURS, Line, Panel, measured_panel
 from bayes_aero.report.screen import Screen, claims, doubts_of
-from bayes_aero.report.table import Column, Table, columns_of
+from bayes_aero.report.table import Column, Table, TextTable, columns_of
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -122,14 +122,13 @@ def channel_table(record: RecordReport) -> Table:
     unit, values = "unit → inside", "range in the file"
     return Table(
         [
-            column(lambda c: c.name, "", "channel", "channel"),
-            column(lambda c: c.place, "", "taken from", "taken from", words=True),
-            column(lambda c: c.unit if c.unit == c.si else f"{c.unit} → {c.si}", "", unit, unit),
-            column(lambda c: f"{c.lowest:.5g} to {c.highest:.5g}", "", values, values),
-            Column(remarks, "", "remark" if any(remarks) else None, "", words=True),
+            column(lambda c: c.name, "", "channel"),
+            column(lambda c: c.place, "", "taken from", words=True),
+            column(lambda c: c.unit if c.unit == c.si else f"{c.unit} → {c.si}", "", unit),
+            column(lambda c: f"{c.lowest:.5g} to {c.highest:.5g}", "", values),
+            Column(remarks, "", "remark" if any(remarks) else None, words=True),
         ],
         f"{sampling(record)}; {record.gaps} gaps, {record.uneven} uneven steps",
-        terminal_title="",
     )
 
 
@@ -169,7 +168,7 @@ def _sensors(report: CheckReport) -> tuple[Any, ...]:
     faint = " (too small to be named)"
     sizes = {name: f"{parts.error_sizes(e)}{faint if e['minor'] else ''}" for name, e in errors.items()}
     rows = tuple((name, e["claim"], sizes[name]) for name, e in errors.items())
-    table = HtmlTable("Errors estimated along the flight path", ("error", "claim", "size ± sd"), rows, words=(1, 2))
+    table = TextTable("Errors estimated along the flight path", ("error", "claim", "size ± sd"), rows, words=(1, 2))
     left = left_over(report)
     return sentences, table if rows else None, f"{left[:1].upper()}{left[1:]}."
 
@@ -205,7 +204,7 @@ def card_page(starter: Starter, record: str, card: str, source: Mapping[str, Any
     caption = "Recorded columns, recorded, with the sign and in the unit that were guessed,"
     guesses = [(name, g.unit, g.sign * g.values) for name, g in taken.items() if name != "time"]
     rest = "Columns without a name, recorded, as it is in the file,"
-    todo = HtmlTable("Entries that say TODO", ("entry", "what it is"), tuple(starter.todo), words=(1,))
+    todo = TextTable("Entries that say TODO", ("entry", "what it is"), tuple(starter.todo), words=(1,))
     places = [column.place + (": no numbers" if column.values is None else "") for column in starter.unknown]
 
     def unknown() -> tuple[Any, ...]:
@@ -235,7 +234,7 @@ def _guesses(starter: Starter) -> tuple[Any, ...]:
         rows.append((name, g.column.place, g.unit or "unknown", sign, f"{low} to {high}", evidence))
     caution = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
     head = ("channel", "column", "unit", "sign", "range in the file", "evidence")
-    return (caution, HtmlTable("Guesses", head, tuple(rows), words=(5,))) if rows else ()
+    return (caution, TextTable("Guesses", head, tuple(rows), words=(5,))) if rows else ()
 
 
 def facts(effect: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -339,12 +340,12 @@ def sure_table(causes: Sequence[Cause]) -> Table:
     """Each cause with its size, and what it gains on hold-out data."""
     column, rivals = columns_of(causes), "or these"
     columns = [
-        column(lambda c: c.name, page="cause", terminal="cause"),
-        column(_sizes, page="size ± standard error", terminal="size ± standard error", words=True),
-        column(_held_out, page="hold-out data", terminal="hold-out data"),
+        column(lambda c: c.name, page="cause"),
+        column(_sizes, page="size ± standard error", words=True),
+        column(_held_out, page="hold-out data"),
     ]
     if any(c.ambiguous_with for c in causes):
-        columns.append(column(lambda c: several(c.ambiguous_with), "", rivals, rivals, or_dash, str, words=True))
+        columns.append(column(lambda c: several(c.ambiguous_with), page=rivals, form=or_dash, words=True))
     return Table(columns)
 
 
@@ -372,9 +373,6 @@ def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
     return (*texts, *([f"The band does not show {several(sizes.unseen)}."] if sizes.unseen else []))
 
 
-ON_A_TERMINAL = 3  # coefficients whose R² fit in 80 columns: those that change most
-
-
 def causes_table(d: Diagnosis) -> Table:
     """A row for each cause, in files for each of its parameters, SI and radians, with scores on hold-out data."""
     column = columns_of(d.causes)
@@ -386,46 +384,33 @@ def causes_table(d: Diagnosis) -> Table:
         both = c.gain.before, c.gain.after
         return BeforeAfter(*(getattr(of[name], kind) for of in both)) if name in c.gain.before else None
 
-    names = dict.fromkeys(name for c in d.causes for name in c.gain.before)
-    changes = {n: [x for c in d.causes if (x := change(c, n, "r2"))] for n in names}
-    pairs = {n: [(a, b) for a, b in x if a is not None and b is not None] for n, x in changes.items()}
-    largest = {n: max((abs(float(np.nan_to_num(b - a))) for a, b in x), default=0.0) for n, x in pairs.items()}
-    shown = sorted(names, key=lambda n: -largest[n])[:ON_A_TERMINAL] if d.by_coefficients else []
     scores = []
-    for n, kind in ((n, kind) for n in names for kind in ("r2", "rmse")):
-        files, head = (f"{n}_{kind}_before", f"{n}_{kind}_after"), f"R² {n}" if kind == "r2" and n in shown else None
-        scores.append(column(lambda c, n=n, kind=kind: change(c, n, kind), files, None, head, ".2f"))
+    for n, kind in product(dict.fromkeys(name for c in d.causes for name in c.gain.before), ("r2", "rmse")):
+        files = f"{n}_{kind}_before", f"{n}_{kind}_after"
+        scores.append(column(lambda c, n=n, kind=kind: change(c, n, kind), files))
     if_removed = "hold-out data\nif removed" if any(np.isfinite(c.missed[0]) for c in d.causes) else None
     removed = [f"{-c.missed[0]:+z.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE for c in d.causes]
     removed = [text if c.confirmed else f"{text} *" for text, c in zip(removed, d.causes, strict=True)]
-    rivals = "rivals", None if d.by_coefficients else "rivals"
     columns = [
         Column(range(1, len(d.causes) + 1), "order"),
-        column(lambda c: c.name if c.sure else f"{c.name}{'†' if c.confirmed else '*'}", terminal="cause"),
         column(lambda c: c.name, "cause", "cause"),
         *(column(lambda c, key=key: getattr(c, key), key) for key in ("kind", "stage", "confirmed", "sure")),
         column(lambda c: c.claim, page="what it means", words=True),
         column(lambda c: list(c.parameters), "parameter"),
         column(_sizes, page="size"),
-        each(lambda s: size_text(s.mean, s.sd, s.unit), terminal="size", words=True),
         each(lambda s: Estimate(s.mean, s.sd, *s.ci95), ("mean", "sd", "ci95_low", "ci95_high")),
         each(_interval, page="95 % interval"),
         each(lambda s: s.unit, "unit"),
-        column(lambda c: c.probability, "probability", "probability", "prob.", probability),
+        column(lambda c: c.probability, "probability", "probability", form=probability),
         column(lambda c: c.p_value, "p_value", "p", form=2),
         column(lambda c: " ".join(c.ambiguous_with), "ambiguous_with"),
         column(lambda c: (c.gain.elpd, c.gain.elpd_se), ("elpd", "elpd_se")),
         column(lambda c: Estimate(-c.missed[0], c.missed[1]), ("taken_out_elpd", "taken_out_elpd_se")),
         Column(removed, page=if_removed),
-        column(lambda c: several(c.ambiguous_with), "", *rivals, or_dash, str),
+        column(lambda c: several(c.ambiguous_with), page="rivals", form=or_dash),
         *scores,
     ]
-    if d.by_coefficients:
-        most = f"R² of the {len(shown)} coefficients that change most. " if 0 < len(shown) < len(names) else ""
-        return table("causes", columns, split=WORDS["splits"][d.split], most=most)
-    source = "innovations" if d.compared == "innovations" else "trajectories alone"
-    unsure = "" if all(c.sure for c in d.causes) else WORDS["notes"]["causes_flown"]
-    return table("causes_flown", columns, source=source, unsure=unsure)
+    return table("causes", columns)
 
 
 def _sizes(c: Cause) -> list[str]:
@@ -449,20 +434,20 @@ def changes_table(d: Diagnosis) -> Table:
     for n, head in (("before", "before"), ("after", "after"), ("size", "change")):
         sizes.append(column(lambda c, n=n: Estimate(*getattr(c, n)), (n, f"{n}_sd")))
         texts = [filled("{x:±{unit}}", x=getattr(c, n), unit=c.unit) for c in d.changes]
-        sizes.append(Column(texts, page=head, terminal=head))
+        sizes.append(Column(texts, page=head))
     columns = [
-        column(lambda c: c.parameter, "parameter", "parameter", "parameter"),
+        column(lambda c: c.parameter, "parameter", "parameter"),
         column(lambda c: c.unit, "unit"),
-        column(lambda c: c.manoeuvre, "manoeuvre", "manoeuvre", "manoeuvre"),
-        column(lambda c: c.at, "at", "at, s", "at, s", ".1f"),
+        column(lambda c: c.manoeuvre, "manoeuvre", "manoeuvre"),
+        column(lambda c: c.at, "at", "at, s", form=".1f"),
         column(lambda c: BeforeAfter(*c.interval), ("at_low", "at_high")),
         column(lambda c: from_to(c.interval[0], c.interval[1], 0.5), page="95 % interval, s"),
         column(lambda c: c.lasts, "lasts"),
         *sizes,
         column(lambda c: c.share, "share"),
-        column(lambda c: c.p_value, "p_value", "p", "p", 2),
-        column(lambda c: c.gain, "elpd", "hold-out gain", None, ".1f"),
-        column(lambda c: several(c.ambiguous_with), "ambiguous_with", "rivals", "rivals", or_dash),
+        column(lambda c: c.p_value, "p_value", "p", form=2),
+        column(lambda c: c.gain, "elpd", "hold-out gain", form=".1f"),
+        column(lambda c: several(c.ambiguous_with), "ambiguous_with", "rivals", form=or_dash),
     ]
     return table("changes", columns)
 
@@ -477,9 +462,9 @@ def terms_table(d: Diagnosis) -> Table:
         column(lambda t: Estimate(*t.size), ("size", "size_sd")),
         column(lambda t: filled("{t.size:±{t.term.unit}}", t=t), page="factor"),
         column(lambda t: t.share, "share", "share left", form=".0%"),
-        column(lambda t: t.gain, "elpd", "hold-out gain", None, ".1f"),
+        column(lambda t: t.gain, "elpd", "hold-out gain", form=".1f"),
         column(lambda t: t.weight, "probability", "probability", form=".2f"),
-        column(alike, "ambiguous_with", "as good", None, or_dash, words=True),
+        column(alike, "ambiguous_with", "as good", form=or_dash, words=True),
     ]
     return table("terms", columns)
 
@@ -492,11 +477,11 @@ def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
     beyond = "".join(f" Noise alone exceeds {r.threshold:.1f} in {100.0 * r.level:g} % of replicates." for r in limits)
     column = columns_of([s for _, s in rows])
     columns = [
-        Column([r.stage for r, _ in rows], "stage", terminal="stage"),
-        column(lambda s: s.effect, "name", "effect", "candidate"),
+        Column([r.stage for r, _ in rows], "stage"),
+        column(lambda s: s.effect, "name", "effect"),
         column(lambda s: s.kind, "kind", "kind", words=True),
-        column(lambda s: s.score, "score", "score", "score", ".1f"),
-        column(lambda s: s.p_value, "p_value", "p", "p", ".3f"),
+        column(lambda s: s.score, "score", "score", form=".1f"),
+        column(lambda s: s.p_value, "p_value", "p", form=".3f"),
         Column(["yes" if (r.stage, s.effect) in causes else "" for r, s in rows], page="named"),
     ]
     return table("screen", columns, stage=rankings[0].stage if rankings else "", beyond=beyond)

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayes_aero.flight.health import only_following
 from bayes_aero.report.phrases import decimals, plus_minus, sentence, several, unit_behind
-from bayes_aero.report.table import Column, Estimate, in_brackets
+from bayes_aero.report.table import Column, Estimate
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -405,19 +405,19 @@ def band_text(fit: FrequencyFit | CausesInBand) -> str:
     return f"{number(fit.band[0], 2)} to {number(fit.band[1], 2)} Hz"
 
 
-def frequency_columns(names: Sequence[str], fit: FrequencyFit, head: str | None = None) -> list[Column]:
-    """Estimates, both standard errors, and differences from the time domain; without `head` not on a terminal."""
+def frequency_columns(names: Sequence[str], fit: FrequencyFit) -> list[Column]:
+    """Estimates, both standard errors, and differences from the time domain."""
     key = f"frequency_{fit.method.replace(' ', '_')}"
     group = f"{fit.method}, {band_text(fit)}"
     crb, corrected = bounds(fit, fit.crb), bounds(fit, fit.crb_corrected)
     both, files = [corrected.get(n) for n in names], ("", f"{key}_crb_corrected")
     columns = [
         Column([crb.get(n) for n in names], (key, f"{key}_crb"), "Cramér–Rao", group=group),
-        Column(both, files, "corrected", head, "", in_brackets, group=group),
+        Column(both, files, "corrected", group=group),
     ]
     if fit.apart:
         apart = [fit.apart.get(name) for name in names]
-        columns.append(Column(apart, f"{key}_difference", "difference\n(standard errors)", "diff.", ".1f", group=group))
+        columns.append(Column(apart, f"{key}_difference", "difference\n(standard errors)", form=".1f", group=group))
     return columns
 
 

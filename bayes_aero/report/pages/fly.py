@@ -28,7 +28,6 @@ from bayes_aero.report.phrases import (
 from bayes_aero.report.plots import FLOWN, LOW, Panel, measured_panel, output_panels
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
 from bayes_aero.report.table import (
-    NONE,
     Column,
     Estimate,
     Table,
@@ -104,14 +103,14 @@ def fly_screen(result: Flight, card: Card, records: Sequence[FlightRecord]) -> S
     units = [plain_unit(p.unit) for p in fit.parameters]
     fitted = list(map(Estimate, map(float, fit.estimate), map(float, fit.sd_corrected)))
     columns = [
-        Column(fit.names, page="parameter", terminal="parameter"),
-        Column(units, page="unit", terminal="unit"),
-        Column([float(x) for x in flown.start], page="first value", terminal="first value", form=4),
-        Column(fitted, page=CORRECTED, terminal=CORRECTED, form=with_error),
+        Column(fit.names, page="parameter"),
+        Column(units, page="unit"),
+        Column([float(x) for x in flown.start], page="first value", form=4),
+        Column(fitted, page=CORRECTED, form=with_error),
     ]
     if beside is not None and filtered:
         both = [Estimate(*beside.estimates[n]) if n in beside.estimates else None for n in fit.names]
-        columns.append(Column(both, page=WHITE, terminal=WHITE, form=with_error))
+        columns.append(Column(both, page=WHITE, form=with_error))
     status = unparted(fit.status.value, flown.following)
     errors = {n: amounts(flown.units[n], *pair) for n, pair in flown.rms_errors.items()}
     listed = [f"{symbol(n)} {before} → {after}{unit}" for n, (before, after, unit) in errors.items()]
@@ -125,7 +124,7 @@ def fly_screen(result: Flight, card: Card, records: Sequence[FlightRecord]) -> S
     messages = doubts_of(result.sentences)
     then = "next_diagnose" if flown.by_effects else "next_qualify"
     steps = [*mend, *actions(messages)]
-    steps += [sentence(then, given=parts.given(records, card))] if flown.converged else []
+    steps += [sentence(then, given=parts.given(records, card))] if flown.converged and not flown.worse else []
     return Screen(record, shown, [*result.failures, *claims(messages), *result.notes], steps)
 
 
@@ -179,26 +178,23 @@ def parameter_table(flown: TrajectoryFit) -> Table:
     fit, errors = flown.fit, "standard error"
     start, estimate, crb, sd = (list(map(float, x)) for x in (flown.start, fit.estimate, fit.crb, fit.sd_corrected))
     priors = [prior_text(p.prior if flown.setting.priors else None) for p in fit.parameters]
-    note = WORDS["notes"]["trajectory_priors"] if flown.setting.priors else "There are no priors."
     marked = {mark: getattr(fit, mark) for mark in MARKS}
     remarks = [", ".join(MARKS[mark] for mark, names in marked.items() if name in names) for name in fit.names]
     both = list(map(Estimate, estimate, sd))
-    # a terminal has no room for a band beside the priors
-    bands = [estimates.frequency_columns(fit.names, b, b.method.replace(" ", "\n", 1)) for b in flown.frequency]
+    bands = [estimates.frequency_columns(fit.names, band) for band in flown.frequency]
     columns = [
         *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
         Column(start, "start", "first value", form=4),
-        Column(both, ("estimate",), "fit", "estimate", _fit, lambda e: in_brackets(e) if math.isfinite(e.sd) else NONE),
-        Column(crb, "crb", "Cramér–Rao", "CRB", 2, group=errors),
-        Column(sd, "sd_corrected", "corrected", "sd corr.", 2, group=errors),
+        Column(both, ("estimate",), "fit", form=_fit),
+        Column(crb, "crb", "Cramér–Rao", form=2, group=errors),
+        Column(sd, "sd_corrected", "corrected", form=2, group=errors),
         *(column for columns in bands for column in columns),
-        Column(priors, "prior", "prior", None if bands else "prior"),
+        Column(priors, "prior", "prior"),
         Column([p.bounds for p in fit.parameters], page="bounds", form=_bounds),
         *(Column([name in names for name in fit.names], mark) for mark, names in marked.items()),
-        Column(remarks, page="remark", terminal="", form=or_dash, terminal_form=str, words=True),
+        Column(remarks, page="remark", form=or_dash, words=True),
     ]
-    status = unparted(fit.status.name.lower().replace("_", " "), flown.following)
-    return table("trajectory_parameters", columns, status=status, priors=note)
+    return table("trajectory_parameters", columns)
 
 
 def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
@@ -280,9 +276,9 @@ def mode_table(motion: Motion) -> Table:
     of = "with process noise, with errors for white innovations" if motion.filtered else "of output error"
     names, quantities, values = zip(*rows, strict=True)
     columns = [
-        Column(names, "", "mode", "mode"),
-        Column(quantities, "", "quantity", "quantity"),
-        Column(values, "", "value", "value", in_brackets),
+        Column(names, "", "mode"),
+        Column(quantities, "", "quantity"),
+        Column(values, "", "value", form=in_brackets),
     ]
     return table("modes", columns, equations=linear if math.isnan(motion.airspeed) else about, estimates=of)
 

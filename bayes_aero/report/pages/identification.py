@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +24,6 @@ from bayes_aero.report.table import (
     Estimate,
     Table,
     columns_of,
-    in_brackets,
     parameter_columns,
     table,
     with_error,
@@ -40,7 +38,7 @@ if TYPE_CHECKING:
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.inference.results import Identification
 
-ON_TERMINAL, ON_PAGE = 3, 4  # manoeuvres that are shown one by one; of more only the scatter
+ONE_BY_ONE = 4  # manoeuvres that are shown; files have more
 ML = "maximum likelihood\n± standard error"
 SAMPLED = "posterior\nmean ± standard deviation, 95 % interval"
 
@@ -52,28 +50,21 @@ def parameter_table(run: Identification) -> Table:
     truth = [] if run.truth is None else [run.truth.get(n) for n in names]
     columns = [
         *parameter_columns(names, [unit_of(run, n) for n in names]),
-        *([Column(truth, page="true", terminal="flown", form=".4g")] if truth else []),
-        Column(bound.of(names), ("estimate", "crb"), "Cramér–Rao", "ML (CRB)", group=ML),
-        Column(corrected.of(names), ("", "crb_corrected"), "corrected", "sd\ncorr.", terminal_form=_sd, group=ML),
+        *([Column(truth, page="true", form=".4g")] if truth else []),
+        Column(bound.of(names), ("estimate", "crb"), "Cramér–Rao", group=ML),
+        Column(corrected.of(names), ("", "crb_corrected"), "corrected", group=ML),
         *([Column(truth, "flown")] if truth else []),
     ]
     if run.noise == "white" and sampled:
         columns.append(Column(sampled[0].of(names), ("white_mean", "white_sd")))
-    # a terminal has the first; sentences tell where others differ
-    posterior = next(iter(estimates.chosen_posteriors(run)), None)
     for m in sampled:
-        white, label = m.key == "white", m.label.replace(", ", "\n", 1)
-        files = tuple(f"{m.key}_{part}" for part in ("mean", "sd", *(() if white else ("ci95_low", "ci95_high"))))
-        head = f"{label_of(m.key)}\n{label_of(run.noise)}" if m.key == posterior else None
-        column = Column(m.of(names), files, label, "sd\nwhite" if white else head, _interval, group=SAMPLED)
-        columns.append(replace(column, terminal_form=_sd if white else in_brackets))
-    if run.frequency is not None:
-        band = f"in band\n{estimates.band_text(run.frequency)}".replace(" to ", "-")
-        columns += estimates.frequency_columns(names, run.frequency, band)
+        ends = () if m.key == "white" else ("ci95_low", "ci95_high")
+        files = tuple(f"{m.key}_{part}" for part in ("mean", "sd", *ends))
+        columns.append(Column(m.of(names), files, m.label.replace(", ", "\n", 1), form=_interval, group=SAMPLED))
+    columns += [] if run.frequency is None else estimates.frequency_columns(names, run.frequency)
     columns += _alone_columns(run, names) if run.alone else []
     remark = " “True” are the values with which the records were simulated." if truth else ""
-    status = unparted(mle.status.name.lower().replace("_", " "), only_following(run.health))
-    return table("parameters", columns, dense=True, known=remark, card=run.card.title, status=status)
+    return table("parameters", columns, known=remark)
 
 
 def identification_screen(run: Identification, card: Card, records: Sequence[FlightRecord]) -> Screen:
@@ -83,10 +74,10 @@ def identification_screen(run: Identification, card: Card, records: Sequence[Fli
     names = ordered(mle.names, mle.parameters)
     chosen = next((m for m in sampled if m.key == next(iter(estimates.chosen_posteriors(run)), None)), None)
     columns = [
-        Column(names, page="parameter", terminal="parameter"),
-        Column([plain_unit(unit_of(run, n)) for n in names], page="unit", terminal="unit"),
-        Column(corrected.of(names), page=corrected.label, terminal=corrected.label, form=with_error),
-        *([Column(chosen.of(names), page=chosen.label, terminal=chosen.label, form=with_error)] if chosen else []),
+        Column(names, page="parameter"),
+        Column([plain_unit(unit_of(run, n)) for n in names], page="unit"),
+        Column(corrected.of(names), page=corrected.label, form=with_error),
+        *([Column(chosen.of(names), page=chosen.label, form=with_error)] if chosen else []),
     ]
     status = unparted(mle.status.value, only_following(run.health))
     R2 = ", ".join(f"{name} {number(of.r2, 3)}" for name, of in mle.fit.items())
@@ -100,31 +91,22 @@ def identification_screen(run: Identification, card: Card, records: Sequence[Fli
     return Screen(record, shown, [*run.failures, *claims(messages), *run.notes], [*mend, *actions(messages), *more])
 
 
-def _sd(e: Estimate) -> str:
-    return number(e.sd, 2)
-
-
 def _interval(e: Estimate) -> str:
     return f"{plus_minus(e.centre, e.sd)}\n{from_to(e.low, e.high, e.sd)}"
 
 
 def _alone_columns(run: Identification, names: Sequence[str]) -> list[Column]:
-    """Manoeuvres fitted alone: files have every fit, people those that are usable, or their scatter."""
-    few, columns = len(run.alone) <= ON_TERMINAL, []
-    usable = [estimates.alone(run, n) for n in names]
+    """Manoeuvres fitted alone: files have every fit, people the scatter of those that are usable."""
+    columns = []
     for manoeuvre, fit in run.alone.items():
         single = estimates.bounds(fit, fit.crb)
         columns.append(Column([single.get(n) for n in names], (f"{manoeuvre}_estimate", f"{manoeuvre}_crb")))
-        shown = [Estimate.normal(*by[manoeuvre][:2]) if manoeuvre in by else None for by in usable]
-        columns.append(Column(shown, terminal=f"{manoeuvre}\nalone" if few else None))
     scatter, group = [estimates.scatter(run, n) or (None, None) for n in names], "manoeuvres fitted alone"
     sd, largest = zip(*scatter, strict=True)
-    head = None if few else f"sd of {len(run.alone)}\nalone"
-    last = "largest_difference_in_crb", "largest\ndifference"
     return [
         *columns,
-        Column(sd, "between_manoeuvres_sd", "scatter\n(sd)", head, 2, group=group),
-        Column(largest, *last, form=".1f", group=group),
+        Column(sd, "between_manoeuvres_sd", "scatter\n(sd)", form=2, group=group),
+        Column(largest, "largest_difference_in_crb", "largest\ndifference", form=".1f", group=group),
     ]
 
 
@@ -189,7 +171,6 @@ def sampler_table(run: Identification, key: str) -> Table:
     return table("sampler", columns, **about, status=posterior.status.value, divergent=divergent)
 
 
-POOLED_ON_TERMINAL = 2  # manoeuvres that are shown one by one; a file has all
 PARTS = ("", "sd", "ci95_low", "ci95_high")
 
 
@@ -199,30 +180,28 @@ def next_flight_table(run: Identification) -> Table:
     if pooled is None:
         raise ValueError("the manoeuvres of this run are not pooled")
     names = ordered(pooled.aircraft, pooled.parameters)
-    few, one_by_one = (len(pooled.manoeuvres) <= most for most in (POOLED_ON_TERMINAL, ON_PAGE))
+    one_by_one = len(pooled.manoeuvres) <= ONE_BY_ONE
     joint = estimates.bounds(run.mle, run.mle.crb_corrected)
-    name, unit, both = parameter_columns(names, [unit_of(run, n) for n in names])
     columns = [
-        *(name, replace(unit, terminal=None), both),  # a terminal has the units above
-        Column([joint[n] for n in names], ("joint", "joint_sd"), "joint", "joint", terminal_form=in_brackets),
+        *parameter_columns(names, [unit_of(run, n) for n in names]),
+        Column([joint[n] for n in names], ("joint", "joint_sd"), "joint"),
     ]
     for m in pooled.manoeuvres:
         alone = pooled.alone[m]
         single = [Estimate.normal(*alone[n]) if n in alone else None for n in names]
         for kind, values in (("alone", single), ("pooled", [Estimate.of(pooled.pooled[m][n]) for n in names])):
-            heads = kind if one_by_one else None, f"{m}\npooled" if few and kind == "pooled" else None
-            columns.append(Column(values, (f"{m}_{kind}", f"{m}_{kind}_sd"), *heads, group=m))
-    for key, head, numbers, form, on_terminal in (
-        ("aircraft", "aircraft", pooled.aircraft, "", in_brackets),
-        ("scatter", "scatter\n95 %", pooled.scatter, lambda e: f"{number(e.low, 2)} to {number(e.high, 2)}", ""),
-        ("next_flight", "next flight\n95 %", pooled.following, lambda e: from_to(e.low, e.high, e.sd), ""),
+            columns.append(Column(values, (f"{m}_{kind}", f"{m}_{kind}_sd"), kind if one_by_one else None, group=m))
+    for key, head, numbers, form in (
+        ("aircraft", "aircraft", pooled.aircraft, ""),
+        ("scatter", "scatter\n95 %", pooled.scatter, lambda e: f"{number(e.low, 2)} to {number(e.high, 2)}"),
+        ("next_flight", "next flight\n95 %", pooled.following, lambda e: from_to(e.low, e.high, e.sd)),
     ):
         files = tuple(f"{key}_{part}".rstrip("_") for part in PARTS)
         values = [Estimate.of(numbers[n]) for n in names]
-        columns.append(Column(values, files, head, head.splitlines()[0], form, on_terminal))
+        columns.append(Column(values, files, head, form=form))
     narrowed = [pooled.narrowed[n] for n in names]
-    columns.append(Column(narrowed, "scatter_over_prior", "scatter\nover prior", "over\nprior", form=".2f"))
-    return table("next_flight", columns, dense=True)
+    columns.append(Column(narrowed, "scatter_over_prior", "scatter\nover prior", form=".2f"))
+    return table("next_flight", columns)
 
 
 def identification_page(

@@ -12,7 +12,7 @@ from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import Agreement, Consistency, HealthFinding, OpenError
 from bayes_aero.physics.aircraft import Axis
-from bayes_aero.report.page import Facts, Fold, HtmlTable, Plot, Section, Text, fold, section
+from bayes_aero.report.page import Facts, Fold, Plot, Section, Text, fold, section
 from bayes_aero.report.phrases import (
     WORDS,
     axis_label,
@@ -24,6 +24,7 @@ from bayes_aero.report.phrases import (
     unit_behind,
 )
 from bayes_aero.report.plots import LOW, MOST, Panel, linked, measured_panel
+from bayes_aero.report.table import TextTable
 from bayes_aero.units import instant, number
 
 if TYPE_CHECKING:
@@ -209,7 +210,7 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Any, ...]:
     head = ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads)
     return (
         f"{many}, {sum(seconds):.0f} s in all. Aircraft and model: {card.title} (card “{card.name}”).",
-        HtmlTable(title, head, tuple(lines)),
+        TextTable(title, head, tuple(lines)),
     )
 
 
@@ -234,7 +235,7 @@ def not_testable_list(reasons: Mapping[str, str]) -> Fold | None:
     for name, reason in reasons.items():
         listed.setdefault(reason, []).append(name)
     rows = tuple((reason, ", ".join(names)) for reason, names in listed.items())
-    table = HtmlTable("Effects that are not testable on this record", ("reason", "effects"), rows, words=(1,))
+    table = TextTable("Effects that are not testable on this record", ("reason", "effects"), rows, words=(1,))
     return fold(f"The {len(reasons)} effects that are not testable", table if rows else None)
 
 
@@ -285,7 +286,7 @@ def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
     return f"{middle:.{places}f} ({low:.{places}f} to {high:.{places}f})"
 
 
-def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[HtmlTable | Text, ...]:
+def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[TextTable | Text, ...]:
     """CLmax and its angle for each model, with a warning where the record does not show them."""
     rows, limits = [], []
     for label, s in stalls.items():
@@ -299,7 +300,7 @@ def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[HtmlTable | Tex
     reference = next(iter(stalls.values())).reference
     shown = (("airspeed", "V", 1.0, "m/s"), ("mach", "Mach", 1.0, ""), ("elevator", "elevator", DEG, "deg"))
     held = [f"{name} {number(reference[key] * x)} {unit}".strip() for key, name, x, unit in shown if key in reference]
-    table = HtmlTable(
+    table = TextTable(
         "Steady stall: highest lift coefficient and its angle of attack, with 95 % intervals",
         ("model", "CLmax [-]", "at α [deg]", "α flown [deg]", "maximum at\nthe edge"),
         tuple(rows),
@@ -330,7 +331,7 @@ def provenance_section(
         made = (
             warnings(notes),
             Facts(tuple((str(k), str(v)) for k, v in facts.items())),
-            HtmlTable("Inputs", ("name", "file", "SHA-256"), tuple(inputs), words=(1, 2)) if inputs else None,
+            TextTable("Inputs", ("name", "file", "SHA-256"), tuple(inputs), words=(1, 2)) if inputs else None,
             fold("Versions", Facts(tuple((k, str(v)) for k, v in dict(source.get("versions", {})).items()))),
             f"Time spent: {spent}." if spent else None,
         )

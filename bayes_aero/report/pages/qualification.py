@@ -7,12 +7,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.page import Facts, HtmlTable, Report, fold, section
+from bayes_aero.report.page import Facts, Report, fold, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.phrases import WORDS, amounts, for_people, sentence, several, symbol, unit_behind
 from bayes_aero.report.plots import COLOURS, LOW, Line, Panel
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
-from bayes_aero.report.table import NONE, Column, Table, columns_of, table
+from bayes_aero.report.table import NONE, Column, Table, TextTable, columns_of, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -32,12 +32,12 @@ def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
     """Test points in the order of flying: what is flown, and the ranges that it needs."""
     column = columns_of(points)
     columns = [
-        Column(list(range(1, len(points) + 1)), "point", "point", "", form="d"),
-        column(lambda p: str(p["manoeuvre"]).replace("_", " "), "manoeuvre", "manoeuvre", "manoeuvre"),
-        column(lambda p: p["amplitude"], "amplitude", "amplitude\n[standard inputs]", "size\n[inputs]", form=".1f"),
-        column(lambda p: p["airspeed"], "airspeed", "from airspeed\n[m/s]", "from\n[m/s]", form=".0f"),
+        Column(list(range(1, len(points) + 1)), "point", "point", form="d"),
+        column(lambda p: str(p["manoeuvre"]).replace("_", " "), "manoeuvre", "manoeuvre"),
+        column(lambda p: p["amplitude"], "amplitude", "amplitude\n[standard inputs]", form=".1f"),
+        column(lambda p: p["airspeed"], "airspeed", "from airspeed\n[m/s]", form=".0f"),
         column(lambda p: p["altitude"], "altitude", "from altitude\n[m]", form=".0f"),
-        column(lambda p: p["seconds"], "seconds", "time\n[s]", "time\n[s]", form=".0f"),
+        column(lambda p: p["seconds"], "seconds", "time\n[s]", form=".0f"),
     ]
     for name, (unit, factor, form) in RANGES.items():
         ranges, shown = [p["excursion"].get(name) for p in points], []
@@ -58,7 +58,7 @@ def points_table(test_points: Mapping[str, Any]) -> Table:
     for k, question in enumerate(test_points["questions"]):
         label, key = (between.join(question["effects"]) for between in (" or ", "_or_"))
         values = [p["standard_errors"][k] for p in points]
-        columns.append(Column(values, f"standard_errors_{key}", label, label, ".1f", group="then apart"))
+        columns.append(Column(values, f"standard_errors_{key}", label, form=".1f", group="then apart"))
     return table("points", columns, enough=max(q["enough"] for q in test_points["questions"]))
 
 
@@ -137,12 +137,12 @@ def chance_text(chance: Chance | None) -> str:
 def verdict_table(q: Qualification) -> Table:
     column = columns_of(list(q.tolerances))
 
-    def least(kind: str, page: str, terminal: str) -> Column:
+    def least(kind: str, page: str) -> Column:
         def of(output: str) -> str:
             chances = [t.chance for t in q.of(output) if t.kind.name == kind]
             return chance_text(min(chances, key=lambda chance: chance.value, default=None))
 
-        return column(of, "", page, terminal)
+        return column(of, "", page)
 
     def records(output: str) -> str:
         passed = [t.recorded.passed for t in q.of(output) if t.recorded is not None]
@@ -150,12 +150,12 @@ def verdict_table(q: Qualification) -> Table:
 
     new = any(test.kind.name == "TEST" for test in q.tests)
     columns = [
-        column(lambda n: band(n, q.tolerances[n][0]), "", "tolerance", "tolerance"),
-        column(lambda n: q.verdict(n).value, "", "verdict", "verdict"),
-        column(records, "", "records\ninside", "records inside"),
-        least("AGAIN", "fitted,\nflown again", "again"),
-        *([least("TEST", "not fitted", "not fitted")] if new else []),
-        least("NEXT", "next flight", "next flight"),
+        column(lambda n: band(n, q.tolerances[n][0]), "", "tolerance"),
+        column(lambda n: q.verdict(n).value, "", "verdict"),
+        column(records, "", "records\ninside"),
+        least("AGAIN", "fitted,\nflown again"),
+        *([least("TEST", "not fitted")] if new else []),
+        least("NEXT", "next flight"),
     ]
     return table("verdicts", columns)
 
@@ -231,7 +231,7 @@ FLIGHTS, ORIGIN = "#56B4E9", "Origin of the tolerances"
 def qualification_page(q: Qualification, card: Card, source: Mapping[str, Any]) -> Report:
     """The page; its first screen is what is signed. `source` is its provenance."""
     lines = (("☐ accepted", BLANK, BLANK, BLANK), ("☐ refused, because", BLANK, BLANK, BLANK))
-    signature = HtmlTable("Decision of the evaluator", ("", "name", "signature", "date"), lines, words=(1, 2, 3))
+    signature = TextTable("Decision of the evaluator", ("", "name", "signature", "date"), lines, words=(1, 2, 3))
     words, further = WORDS["qualification"], q.further
     origins = tuple((name.capitalize(), text) for name, text in q.origins.items())
     tolerances = tuple((name, origin) for name, (_, origin) in q.tolerances.items())

@@ -14,7 +14,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.report.page import Block, Facts, Report, page_table, picture, section
+from bayes_aero.report.page import Block, Facts, Report, picture, section
 from bayes_aero.report.phrases import bracket, for_people, plain_unit, sentence, several
 from bayes_aero.report.plots import COLOURS
 from bayes_aero.report.style import NotDrawn, grid_of, housed, save
@@ -137,7 +137,7 @@ def _units(units: pd.DataFrame, folder: Path) -> Block:
     more = f"{left} more are in units.csv." if left else ""
     paths = [(name, folder / "units" / name / "report.html") for name in map(str, shown["unit"])]
     links = tuple(f"units/{quote(name)}/report.html" if path.is_file() else "" for name, path in paths)
-    return replace(page_table(table("units", columns, left=more)), links=links)
+    return replace(table("units", columns, left=more).text(), links=links)
 
 
 # --- Estimates of the units side by side: do their intervals agree with their scatter?

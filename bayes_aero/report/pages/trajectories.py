@@ -136,33 +136,28 @@ def error_table(
     shares = "shares of the squared error"
     largest = [e and f * e.largest for e, (*_, f) in zip(last, rows, strict=True)]
     columns = [
-        Column([flight for flight, *_ in rows], terminal="manoeuvre", words=True),
-        Column([label for _, label, *_ in rows], "", "output", "output"),
-        Column([BeforeAfter(*x) if each else x[0] for x in rms], "", page, " → ".join(heads), short, group="RMS"),
-        Column(largest, "", heads[-1], "largest", short, group="largest"),
-        Column([e and e.theil.theil for e in last], "", heads[-1], "U", ".3f", group="Theil U"),
+        Column([label for _, label, *_ in rows], "", "output"),
+        Column([BeforeAfter(*x) if each else x[0] for x in rms], "", page, form=short, group="RMS"),
+        Column(largest, "", heads[-1], form=short, group="largest"),
+        Column([e and e.theil.theil for e in last], "", heads[-1], form=".3f", group="Theil U"),
     ]
-    for part, head in (("bias", "bias"), ("variance", "var."), ("covariance", "cov.")):
-        columns.append(Column([e and getattr(e.theil, part) for e in last], "", part, head, ".0%", group=shares))
+    for part in ("bias", "variance", "covariance"):
+        columns.append(Column([e and getattr(e.theil, part) for e in last], "", part, form=".0%", group=shares))
     if any(x is not None for inside in within for x in inside):
         bands = [e and e.tolerance and f"± {number(f * e.tolerance)}" for e, (*_, f) in zip(last, rows, strict=True)]
         columns.append(Column(bands, page="tolerance"))
         inside = [BeforeAfter(*x) if each else x[0] for x in within]
-        terminal = "inside" if fitted is None else None  # where there is room for it
-        columns.append(Column(inside, "", page, terminal, ".0%", group="time inside"))
+        columns.append(Column(inside, "", page, form=".0%", group="time inside"))
     chances = [e and e.probability for e in last]
     if any(chance is not None for chance in chances):
         columns.append(Column(chances, page="whole flight", form=".0%", group="time inside"))
     return table(key, columns, below=[flight for flight, *_ in rows], **texts)
 
 
-def hold_out_table(flown: Trajectories, *, brief: bool = False) -> Table:
-    """Errors of both models, fitted jointly and on hold-out flights; `brief` has the latter alone if there are any."""
-    every = dict.fromkeys((p.split, p.manoeuvre) for p in sorted(flown.paths, key=lambda p: p.split))
-    unseen = [flight for flight in every if flight[0] == "hold_out"]
-    shown = unseen if brief and unseen else list(every)
+def hold_out_table(flown: Trajectories) -> Table:
+    """Errors of both models, fitted jointly and on hold-out flights."""
     flights = {}
-    for split, m in shown:
+    for split, m in dict.fromkeys((p.split, p.manoeuvre) for p in sorted(flown.paths, key=lambda p: p.split)):
         flights[f"{m}, {split.replace('_', '-')}"] = [flown.path(m, model, split) for model in MODELS]
     status = "".join(f" {text}" for text in status_sentences(flown))
     return error_table("hold_out_errors", flights, SI, ("before", "after"), status=status)
@@ -320,16 +315,16 @@ def _estimated_gusts(disturbed: ProcessNoise) -> list[str]:
 def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
     """A row a parameter; of each sampler mean, deviation, 95 % interval, effective sample size and R-hat."""
     names = list(next(iter(posteriors.values())).names)
-    columns = [Column(names, "parameter", "parameter", "")]
+    columns = [Column(names, "parameter", "parameter")]
     for key, posterior in posteriors.items():
         rows, label = [posterior.marginals[name] for name in names], label_of(key)
         files = tuple(f"{key}_{part}" for part in ("mean", "sd", "low", "high"))
         interval = [" to ".join(number(end, 3) for end in m.ci95) for m in rows]
         columns += [
-            Column([Estimate.of(m) for m in rows], files, "mean", label, in_brackets, group=label),
-            Column(interval, page="95 % interval", terminal=f"95 % {label}", group=label),
-            Column([m.ess for m in rows], f"{key}_ess", "ESS", f"ESS {label}", ".0f", group=label),
-            Column([m.rhat for m in rows], f"{key}_rhat", "R-hat", f"R-hat {label}", ".3f", group=label),
+            Column([Estimate.of(m) for m in rows], files, "mean", form=in_brackets, group=label),
+            Column(interval, page="95 % interval", group=label),
+            Column([m.ess for m in rows], f"{key}_ess", "ESS", form=".0f", group=label),
+            Column([m.rhat for m in rows], f"{key}_rhat", "R-hat", form=".3f", group=label),
         ]
     return table("posterior", columns)
 
@@ -342,15 +337,15 @@ def one_step_table(predictions: OneStep, units: Mapping[str, str]) -> Table:
     factors = [*(for_people(units.get(name, "1"))[1] for name in outputs), 1.0]
     rms = [None if p.rms is None else factor * p.rms for p, factor in zip(every, factors, strict=False)]
     columns = [
-        Column(labels, "", "output", ""),
-        Column(rms, "", "RMS", "RMS", lambda x: short(x) if x >= 1e-4 else number(x, 2)),
-        Column([Estimate(*p.ratio) for p in every], "", "e/sd", "e/sd", in_brackets),
+        Column(labels, "", "output"),
+        Column(rms, "", "RMS", form=lambda x: short(x) if x >= 1e-4 else number(x, 2)),
+        Column([Estimate(*p.ratio) for p in every], "", "e/sd", form=in_brackets),
     ]
     for k, share in enumerate(predictions.together.shares):
         inside, head = [Estimate(p.shares[k].share, p.shares[k].sd) for p in every], f"{100.0 * share.level:.0f} %"
-        columns.append(Column(inside, "", head, head, _per_cent, group="inside the interval, %"))
+        columns.append(Column(inside, "", head, form=_per_cent, group="inside the interval, %"))
     kinds = [p.calibration.value.replace("_", " ") for p in every]
-    return table("one_step", [*columns, Column(kinds, "", "predictions", "predictions")])
+    return table("one_step", [*columns, Column(kinds, "", "predictions")])
 
 
 def _per_cent(e: Estimate) -> str:
@@ -365,8 +360,8 @@ def process_noise_table(disturbed: ProcessNoise, flown: TrajectoryFit) -> Table:
     theirs = [Estimate(*disturbed.estimates[p.name]) for p, _ in rows]
     columns = [
         *parameter_columns([p.name for p, _ in rows], [p.unit for p, _ in rows]),
-        Column([estimate for _, estimate in rows], "", "output error", "output error", in_brackets),
-        Column(theirs, "", "with process noise", "with process noise", in_brackets),
+        Column([estimate for _, estimate in rows], "", "output error", form=in_brackets),
+        Column(theirs, "", "with process noise", form=in_brackets),
     ]
     return table("process_noise", columns)
 
