@@ -16,12 +16,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib import style as mpl_style
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import LayoutEngine
 from matplotlib.ticker import LogFormatter, NullFormatter
-from matplotlib.transforms import Bbox
 from PIL import Image
 
 from bayes_aero.atomic_write import write_whole
@@ -77,59 +74,9 @@ def housed(draw: Callable[[Shown], Figure]) -> Callable[[Shown], Figure]:
     return styled
 
 
-class MeasuredOnce(LayoutEngine):
-    """Room around a grid of axes for ticks, labels, titles and legends; labels are aligned along rows and columns.
-
-    Everything is measured once. Constrained layout measures ticks twice, and again for each label that is aligned with
-    another, which takes longer than drawing.
-    """
-
-    _adjust_compatible = _colorbar_gridspec = True
-
-    def execute(self, fig: Figure) -> None:
-        """Place the axes in the room that is left by titles above, legends below, and what stands around themselves."""
-        (width, height), places = fig.get_size_inches(), [p for ax in fig.axes if (p := ax.get_subplotspec())]
-        rows, columns = places[0].get_gridspec().get_geometry()
-        fig.subplots_adjust(0.8 / width, 0.6 / height, 1.0 - 0.2 / width, 1.0 - 0.6 / height)
-        ticks, names, others = np.zeros((3, 4, max(rows, columns)))  # inches on the left, below, on the right, above
-        named: list[tuple[Axis, int, int]] = []
-        for ax, place in zip(fig.axes, places, strict=True):
-            at = (place.colspan.start, place.rowspan.stop - 1, place.colspan.stop - 1, place.rowspan.start)
-            for side, axis in enumerate((ax.yaxis, ax.xaxis)):
-                axis.set_label_coords(0.5, 0.5)  # out of the way of what is measured
-                if axis.label.get_visible() and axis.label.get_text():
-                    named.append((axis, side, at[side]))
-                    size = PAD + axis.label.get_window_extent().size[side] / fig.dpi
-                    names[side, at[side]] = max(names[side, at[side]], size)
-            boxes = [axis.get_tightbbox(for_layout_only=True) for axis in (ax.xaxis, ax.yaxis)]
-            legend = ax.get_legend()
-            shown = [*ax.texts, ax.title, *([] if legend is None else [legend])]
-            for room, extents in ((ticks, boxes), (others, [artist.get_window_extent() for artist in shown])):
-                outer = Bbox.union([ax.bbox, *(box for box in extents if box is not None)])
-                beyond = np.abs(np.subtract(ax.bbox.extents, outer.extents)) / fig.dpi
-                room[range(4), at] = np.maximum(room[range(4), at], beyond)
-        left, below, right, above = np.maximum(ticks + names, others)
-        edge = {"left": PAD, "bottom": PAD, "top": PAD}
-        for text in fig.texts:
-            place = {"top": "top", "bottom": "bottom"}.get(text.get_verticalalignment(), "left")
-            edge[place] += PAD + text.get_window_extent().size[0 if place == "left" else 1] / fig.dpi
-            text.set_y(1.0 - PAD / height if place == "top" else text.get_position()[1])
-        for legend in fig.legends:
-            edge["bottom"] += PAD + legend.get_window_extent().height / fig.dpi
-        x0, x1 = edge["left"] + left[0], width - 2.0 * PAD - right[columns - 1]
-        y0, y1 = edge["bottom"] + below[rows - 1], height - edge["top"] - above[0]
-        across = 2.0 * PAD + np.max(left[1:columns] + right[: columns - 1], initial=0.0)
-        down = 2.0 * PAD + np.max(above[1:rows] + below[: rows - 1], initial=0.0)
-        wide, high = (x1 - x0 - across * (columns - 1)) / columns, (y1 - y0 - down * (rows - 1)) / rows
-        fig.subplots_adjust(x0 / width, y0 / height, x1 / width, y1 / height, across / wide, down / high)
-        for axis, side, at in named:
-            place = -(ticks[side, at] + PAD) * fig.dpi / axis.axes.bbox.size[side]
-            axis.set_label_coords(*((0.5, place) if side else (place, 0.5)))
-
-
 def panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Figure, np.ndarray]:
     """A figure of `size` inches with a (rows, columns) array of axes; outside pyplot, so nothing lingers or pops up."""
-    figure = Figure(figsize=size, layout=MeasuredOnce())
+    figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     for ax in axes.ravel():
         ax.locator_params(nbins=TICKS)  # each costs as much as a curve

@@ -25,7 +25,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.health import OpenError
 from bayes_aero.inference.results import Scores
 from bayes_aero.physics.aircraft import NAMES
-from bayes_aero.report.pages.diagnosis import diagnosis_sentences, verdict_sentence
+from bayes_aero.report.pages.diagnosis import diagnosis_sentences
 from bayes_aero.residuals.equation_error import EquationError
 
 
@@ -382,7 +382,7 @@ def test_what_flight_does_not_miss_or_cannot_test_is_not_confirmed(diagnosed):
     untested = replace(d, causes=tuple(replace(c, missed=(float("nan"), float("nan"))) for c in d.causes))
     found = decided.judged_on_held_out_flights(untested, result.Confirmation((), {}), {"Cma2"})
     assert {c.name for c in found.causes if not c.confirmed} == {"alpha_squared_moment"}
-    assert "named, but not tested on hold-out data: alpha_squared_moment" in verdict_sentence(found)
+    assert "alpha_squared_moment: named, but not tested on hold-out data." in diagnosis_sentences(found)
     # Noise of the regressors bends coefficients as an error of a sensor may; a simulated flight has none.
     scale = replace(cause("accel_y_scale", -0.22, 0.05), kind="measurement")
     of_the_path = replace(scale, name="alpha_scale", stage="flight path")

@@ -145,7 +145,7 @@ def found(view: View) -> Figure:
     ranking = rankings.get(causes[0].stage) if causes else last  # that which named the first cause
     rows = "ab"[: len(panel.lines) - 1]
     places: list[Any] = [[row, "R"] if ranking else [row] for row in rows]
-    figure = Figure(figsize=(11.0, 1.9 * len(rows) + 1.0), layout=style.MeasuredOnce())
+    figure = Figure(figsize=(11.0, 1.9 * len(rows) + 1.0), layout="constrained")
     axes = figure.subplot_mosaic(places, width_ratios=[1.7, 1.0] if ranking else [1.7])
     first, *others = panel.note.split(" → ")
     what, _, number = first.rpartition(" ")

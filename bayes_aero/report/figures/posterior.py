@@ -50,7 +50,7 @@ def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: An
         layout = {"figsize": size, "figsize_units": "inches"}
         collection = getattr(plots, f"plot_{kind}")(tree, backend="matplotlib", figure_kwargs=layout, **options)
         figure = collection.get_viz("figure")
-        figure.set_layout_engine(style.MeasuredOnce())
+        figure.set_layout_engine("constrained")
         style.close(figure)
     return figure
 

@@ -63,7 +63,6 @@ if TYPE_CHECKING:
     from bayes_aero.jobs.results import Outcome
 
 SHOWN = 4  # other terms that are named
-MAX_SIZED = 3  # causes whose sizes are in the verdict
 SEEN = 0.005  # change of R² that two digits show
 
 
@@ -87,7 +86,7 @@ def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[
         "gusts": gust_sentences(d.gusts),
         "tested": tested_sentences(d),
         "signs": sign_sentences(bases, d.parameters, d.following),
-        "causes": [_cause(cause) for cause in d.causes],
+        "causes": [*(_cause(cause) for cause in d.causes), *_unsure(d)],
         "next step": _taken_over(d),
         "cancelling": [sentence("cancelling", pair=p, size=(p.mean, p.sd)) for p in d.together],
         "absorbed": [sentence("absorbed", a=a, sizes=sizes) for a, sizes in absorbed],
@@ -235,43 +234,30 @@ def change_sentences(changes: Sequence[ParameterChange]) -> list[str]:
 
 
 def verdict_sentence(d: Diagnosis) -> str:
-    """The causes that explain the model error, those that are only named, and the unexplained structure."""
-    sure, doubtful = [c for c in d.causes if c.sure], _doubtful(d)
-    names = f": {several(_named(c, len(sure) <= MAX_SIZED) for c in sure)}{doubtful}"
-    changes = [f"{c.parameter} changes {'at' if c.between else 'in'} {c.manoeuvre}" for c in d.changes]
-    structure = {
-        f"{u.coefficient} {'between' if u.offsets else 'over'} {u.channel}{'s' if u.offsets else ''}" for u in d.unknown
-    }
-    unknown = several([*sorted(structure), *dict.fromkeys(changes)])
-    return _verdict(d, names, f" ({unknown})" if unknown else "", doubtful)
-
-
-def _verdict(d: Diagnosis, names: str, left: str, doubtful: str) -> str:
-    """The verdict with or without names, structure that is left, and causes on which it does not rest."""
+    """Whether the card's model is in error, and whether causes explain that."""
     sure = sum(c.sure for c in d.causes)
     if d.tested is not None:
-        return _flown_verdict(d, d.tested, sure, names, left, doubtful)
+        return _flown_verdict(d, d.tested, sure)
     key = "nothing_explains" if d.verdict == "unexplained" and not d.causes else d.verdict.value
-    return sentence(f"verdict_{key}", n=sure, names=names, left=left, doubtful=doubtful)
+    return sentence(f"verdict_{key}", n=sure)
 
 
-def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: str, doubtful: str) -> str:
+def _flown_verdict(d: Diagnosis, tested: Tested, sure: int) -> str:
     """The same from trajectories alone: causes explain the error only if the residual is sensor noise."""
-    sought = sentence("structure_remains" if d.unknown else "no_structure", left=left)
     sizes, where = "", ""
     if tested.beyond:  # on hold-out flights where there are any
         unseen = all(math.isfinite(tested.outputs[name].unseen) for name in tested.beyond)
         missed = {n: tested.outputs[n].unseen if unseen else tested.outputs[n].fitted for n in tested.beyond}
         sizes = several(f"{symbol(name)} {_rms(name, x)}" for name, x in missed.items())
         where = "on hold-out flights, " if unseen else ""
-    key = "errors_remain" if tested.beyond else "within_noise" if tested.outputs else "error_not_computed"
-    rest = sentence(key, where=where, sizes=sizes, sought=sought)
-    if sure:
-        key = "flown_explain" if d.verdict == "explained" else "flown_improve"
-        return f"{sentence(key, n=sure, names=names)} {rest}"
-    first = "flown_no_reliable" if d.causes else "flown_no_improvement"
-    more = f" {sentence('flown_undecided')}" if d.verdict == "undecided" else ""
-    return f"{sentence('flown_no_error' if d.verdict == 'no_effect' else first)}{doubtful}. {rest}{more}"
+    left = "errors_remain" if tested.beyond else "within_noise" if tested.outputs else "error_not_computed"
+    first = "flown_explain" if d.verdict == "explained" else "flown_improve"
+    if not sure:
+        without = "flown_no_reliable" if d.causes else "flown_no_improvement"
+        first = "flown_no_error" if d.verdict == "no_effect" else without
+    undecided = ["flown_undecided"] if d.verdict == "undecided" and not sure else []
+    keys = (first, left, "structure_remains" if d.unknown else "no_structure", *undecided)
+    return " ".join(sentence(key, n=sure, where=where, sizes=sizes) for key in keys)
 
 
 def _rms(output: str, value: float) -> str:
@@ -287,16 +273,9 @@ def tested_sentences(d: Diagnosis) -> list[str]:
     return [sentence("tested", listed=listed), *([sentence("tested_beyond", names=beyond)] if beyond else [])]
 
 
-def _named(cause: Cause, sized: bool) -> str:
-    sizes = ", ".join(_size(x) for x in cause.parameters.values()) if sized else ""
-    rivals = f"or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
-    text = ", ".join(part for part in (sizes, rivals) if part)
-    return f"{cause.name} ({text})" if text else cause.name
-
-
-def _unsure(d: Diagnosis) -> dict[str, list[Cause]]:
-    """Causes on which the verdict does not rest, by the reason."""
-    reasons: dict[str, list[Cause]] = {}
+def _unsure(d: Diagnosis) -> list[str]:
+    """Causes on which the verdict does not rest, a sentence for each reason."""
+    reasons: dict[str, list[str]] = {}
     for cause in (c for c in d.causes if not c.sure):
         why = "named, but no more probable than its rivals"
         if cause.bounded:
@@ -305,13 +284,8 @@ def _unsure(d: Diagnosis) -> dict[str, list[Cause]]:
             why = "larger than on any aircraft: suspect another cause"
         elif not cause.confirmed:
             why = f"named, but not {'confirmed' if math.isfinite(cause.missed[0]) else 'tested'} on hold-out data"
-        reasons.setdefault(why, []).append(cause)
-    return reasons
-
-
-def _doubtful(d: Diagnosis) -> str:
-    named = {why: several(_named(cause, sized=False) for cause in some) for why, some in _unsure(d).items()}
-    return "".join(f"; {why}: {names}" for why, names in named.items())
+        reasons.setdefault(why, []).append(cause.name)
+    return [sentence("unsure_cause", names=names, why=why) for why, names in reasons.items()]
 
 
 # --- The screen.
@@ -324,12 +298,10 @@ def diagnosis_screen(result: Outcome, card: Card, records: Sequence[FlightRecord
     stages = {name: effect.stage for name, effect in CATALOGUE.items()}  # sensors, aircraft, then the model
     sure = sorted((c for c in d.causes if c.sure), key=lambda c: stages.get(c.name, math.inf))
     gain = "" if flown is None else simulation_gain(flown)
-    shown = [_verdict(d, "", "", ""), *([sure_table(sure)] if sure else []), *([gain] if gain else [])]
+    shown = [verdict_sentence(d), *([sure_table(sure)] if sure else []), *([gain] if gain else [])]
     shown += revealed(result.hidden, result.named) if result.hidden else []
     listed = findings(d, flown)
-    unsure = [sentence("unsure_cause", names=[c.name for c in some], why=why) for why, some in _unsure(d).items()]
-    others = [text for kind, texts in listed.items() if kind != "verdict" for text in texts]
-    messages = doubts_of([*unsure, *others])
+    messages = doubts_of(text for kind, texts in listed.items() if kind != "verdict" for text in texts)
     doubts = [*result.failures, *claims(messages), *d.notes, *result.notes]
     steps = [*mend, *actions([*_taken_over(d), *messages]), *points_sentences(result.test_points)[:1]]
     fly = sentence("next_fly", given=parts.given(records, card))
