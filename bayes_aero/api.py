@@ -18,7 +18,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -268,8 +268,6 @@ def _card(card: str | Card) -> Card:
 
 # --- What the Python interface returns: a fit and a diagnosis, with their tables, sentences and figures.
 
-Shown = TypeVar("Shown")
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -332,17 +330,6 @@ class Fit:
             raise InputError("this fit has no Gaussian processes yet; add them with bayes_aero.gpr(fit)")
         return validation_table(self.run).frame()
 
-    def plot(self, figure: str = "forest") -> Figure:
-        """Draw a figure of `identify`.
-
-        Args:
-            figure: a name in `bayes_aero.report.figures.every_figure.FIGURES`.
-
-        Raises:
-            InputError: there is no such figure, or it has nothing to show.
-        """
-        return _drawn(FIGURES, figure, self.run)
-
 
 @dataclass(frozen=True)
 class Diagnosed:
@@ -372,7 +359,7 @@ class Diagnosed:
     def sentences(self) -> list[str]:
         """Doubts about the records, then the verdict, one sentence or two per cause, unexplained structure, what is not
         testable, notes."""
-        return [*self.doubts, *sentences(self.view)]
+        return [*self.doubts, *sentences(self.view.diagnosis, self.view.trajectories)]
 
     def table(self) -> pd.DataFrame:
         """Causes in SI and radians.
@@ -401,7 +388,8 @@ class Diagnosed:
         return terms_table(self.view.diagnosis).frame()
 
     @property
-    def _coefficients(self) -> View:
+    def by_coefficients(self) -> View:
+        """What the coefficients say; `InputError` where trajectories alone were compared."""
         if not isinstance(self.view, View):
             raise InputError("this diagnosis rests on trajectories alone: the records lack what coefficients need")
         return self.view
@@ -412,7 +400,7 @@ class Diagnosed:
         Returns:
             A row per model, data (`fitted` or `hold_out`), manoeuvre and coefficient.
         """
-        return scores_frame(holdout_scores(self._coefficients))
+        return scores_frame(holdout_scores(self.by_coefficients))
 
     def screen(self) -> pd.DataFrame:
         """Every candidate of the catalogue.
@@ -422,24 +410,14 @@ class Diagnosed:
         """
         return screen_table(self.view.rankings, self.view.diagnosis).frame()
 
-    def plot(self, figure: str = "measured_simulated") -> Figure:
-        """Draw a figure of `diagnose`.
-
-        Args:
-            figure: a name in `bayes_aero.report.figures.every_figure.DIAGNOSIS_FIGURES`.
-
-        Raises:
-            InputError: there is no such figure, or it has nothing to show.
-        """
-        return _drawn(DIAGNOSIS_FIGURES, figure, self._coefficients)
-
 
 def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | None = None) -> Figure:
     """Draw a figure of a result.
 
     Args:
         result: of `fit` or `diagnose`.
-        figure: its name; default: the first figure of this kind of result.
+        figure: a name in `FIGURES` or, of a diagnosis, `DIAGNOSIS_FIGURES` of `bayes_aero.report.figures.every_figure`;
+            default: "forest" or "measured_simulated".
         width: in inches; the text keeps its size. 10 fits a notebook's column.
 
     Returns:
@@ -448,7 +426,17 @@ def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | N
     Raises:
         InputError: there is no such figure, or it has nothing to show.
     """
-    drawn = result.plot() if figure is None else result.plot(figure)
+    figures: Mapping[str, Callable[[Any], Figure]]
+    shown: Any
+    if isinstance(result, Fit):
+        figures, shown, name = FIGURES, result.run, figure or "forest"
+    else:
+        figures, shown, name = DIAGNOSIS_FIGURES, result.by_coefficients, figure or "measured_simulated"
+    _choose("figure", name, figures)
+    try:
+        drawn = figures[name](shown)
+    except NotDrawn as reason:
+        raise InputError(f"the figure {name} has nothing to show: {reason}") from None
     if width is not None:
         drawn_width, height = drawn.get_size_inches()
         drawn.set_size_inches(width, height * width / drawn_width)
@@ -465,11 +453,3 @@ def _doubts(health: Sequence[HealthFinding], agreement: Consistency | None, *, c
 def _choose(what: str, given: str, names: Collection[str]) -> None:
     if given not in names:
         raise InputError(f"there is no {what} {given!r}; choose one of {', '.join(names)}")
-
-
-def _drawn(figures: Mapping[str, Callable[[Shown], Figure]], name: str, shown: Shown) -> Figure:
-    _choose("figure", name, figures)
-    try:
-        return figures[name](shown)
-    except NotDrawn as reason:
-        raise InputError(f"the figure {name} has nothing to show: {reason}") from None

@@ -99,6 +99,13 @@ class Prior:
             return self.location + self.scale / 2.0, self.scale
         return self.location, self.scale
 
+    @property
+    def text(self) -> str:
+        """As people read it: mean and deviation, median and factor, or the ends."""
+        first, scale, last = (f"{x:.4g}" for x in (self.location, self.scale, self.location + self.scale))
+        away = {"normal": f"± {scale}", "lognormal": f"× e^±{scale}", "halfnormal": f"+ |{scale}|"}
+        return f"{first} {away.get(self.family, f'to {last}')}"
+
     def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
         """`size` independent draws, shape (size,)."""
         if self.family == "uniform":

@@ -12,9 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
 
 from bayes_aero.cli import terminal
 from bayes_aero.errors import InputError
@@ -70,8 +68,7 @@ def identify(
         identification = job.identify(flights, card, options, out=out, truth=truth, progress=tell)
 
     screen = identification_screen(identification, card, flights)
-    file, text = out / "results.json" if json else None, out / "report.txt" if verbose else None
-    terminal.conclude(screen, [f"Results are in {out}"], identification, text=text, json=file)
+    terminal.conclude(screen, identification, out / "results.json", verbose=verbose, json=json)
 
 
 @terminal.with_options
@@ -121,10 +118,8 @@ def diagnose(
     if changed.result or changed.doubts or changed.next:
         terminal.print_screen(changed, CHANGES, quiet=json)
     # Trajectories alone are fitted to the record as it is.
-    terminal.conclude(
-        None, (*written, f"Results are in {out}"), outcome, text=out / "report.txt" if verbose else None,
-        json=out / "diagnosis.json" if json else None, corrects=outcome.diagnosis.by_coefficients,
-    )  # fmt: skip
+    corrects = outcome.diagnosis.by_coefficients
+    terminal.conclude(None, outcome, out / "diagnosis.json", written, verbose=verbose, json=json, corrects=corrects)
 
 
 @terminal.with_options
@@ -193,8 +188,7 @@ def conclude_fit(
     from bayes_aero.report.pages.fly import fly_screen
 
     terminal.conclude(
-        fly_screen(flight, card, records), [f"Results are in {out}"], flight,
-        text=out / "report.txt" if verbose else None, json=out / RESULTS if json else None,
+        fly_screen(flight, card, records), flight, out / RESULTS, verbose=verbose, json=json,
         compared=compared, failed=not flight.flown.converged, doubtful=doubtful,
     )  # fmt: skip
 
@@ -293,10 +287,8 @@ def qualify(
         qualification, failures = qualify_result(result, tuple(records or ()), options, out=out, progress=tell)
 
     screen = qualification_screen(qualification, result, failures)
-    terminal.conclude(
-        screen, [f"Results are in {out}; qualification.html is to be signed or refused"], qualification,
-        text=out / "qualification.txt" if verbose else None, json=out / RESULTS if json else None, failures=failures,
-    )  # fmt: skip
+    to_do = ["qualification.html is to be signed or refused."]
+    terminal.conclude(screen, qualification, out / RESULTS, to_do, verbose=verbose, json=json, failures=failures)
 
 
 # --- bayes-aero run.
@@ -312,7 +304,6 @@ def run(
         bool, typer.Option("--trust-effects", help="Run its effect files (Python); read them first.")
     ] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Number of processes on this machine.")] = None,
-    memory: Annotated[str | None, typer.Option(help="For each worker, e.g. 4GiB; default: an equal share.")] = None,
     scheduler: Annotated[str | None, typer.Option(help="A Dask cluster, e.g. tcp://node1:8786.")] = None,
     json: terminal.JsonOption = False,
 ) -> None:
@@ -336,8 +327,6 @@ def run(
     """
     if workers and scheduler:
         raise InputError("--workers and --scheduler exclude each other; give one of them")
-    if memory and not workers:
-        raise InputError("--memory is for the processes of --workers; give how many")
     if dry_run and (workers or scheduler):
         raise InputError("--dry-run is done in this process; leave --workers and --scheduler out")
     from bayes_aero.study.run import plan, read_study
@@ -353,7 +342,7 @@ def run(
     if dry_run:
         print_plan(console, list(rows.values()))
     else:
-        results, verdict, unwritten = run_planned(batch, folder, planned, (workers, memory, scheduler))
+        results, verdict, unwritten = run_planned(batch, folder, planned, (workers, scheduler))
         for name, result in results.items():
             rows[name] |= result
         code = print_outcome(console, folder, rows, len(results), (batch, verdict, unwritten))
@@ -366,16 +355,16 @@ def run(
 
 
 def print_plan(console: Console, rows: list[dict[str, Any]]) -> None:
-    table = Table("unit", "state", "why", box=SIMPLE_HEAD)
-    for row in rows:
-        table.add_row(row["name"], row["state"], row["why"])
-    console.print(table)
+    from bayes_aero.report.table import TextTable
+
+    states = tuple((row["name"], row["state"], row["why"]) for row in rows)
+    console.print(TextTable("", ("unit", "state", "why"), states, words=(1, 2)).terminal())
     counts = Counter(row["state"] for row in rows)
     console.print(f"{len(rows)} units: {', '.join(f'{n} {word}' for word, n in counts.items())}")
 
 
 def run_planned(
-    study: Study, folder: Path, planned: list[Planned], cluster: tuple[int | None, str | None, str | None]
+    study: Study, folder: Path, planned: list[Planned], cluster: tuple[int | None, str | None]
 ) -> tuple[Mapping[str, Mapping[str, Any]], str, tuple[str, ...]]:
     """What every unit that was due said, the study's verdict, and what could not be written."""
     with terminal.loading():
@@ -390,7 +379,7 @@ def run_planned(
         with (
             terminal.interruptible(resume),
             terminal.bar("reading", over=3600.0) as show,
-            unit_runner(*cluster if due else (None, None, None), folder / UNITS, show) as runner,
+            unit_runner(*cluster if due else (None, None), folder / UNITS, show) as runner,
         ):
 
             def report(number: int, of: int, unit: Unit, stage: str) -> None:
@@ -428,9 +417,7 @@ def print_outcome(
 
 
 @contextmanager
-def unit_runner(
-    workers: int | None, memory: str | None, scheduler: str | None, units: Path, show: Progress
-) -> Iterator[UnitRunner | None]:
+def unit_runner(workers: int | None, scheduler: str | None, units: Path, show: Progress) -> Iterator[UnitRunner | None]:
     if not workers and not scheduler:
         yield None
         return
@@ -449,7 +436,7 @@ def unit_runner(
 
     if workers:
         show(f"starting {workers} workers", 0.0)
-        runners = cluster.local(workers, cluster.memory_of(memory, workers), units, tell)
+        runners = cluster.local(workers, units, tell)
     else:
         runners = cluster.remote(str(scheduler), units, tell)
     with runners as runner:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
 
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.cli import terminal
@@ -139,54 +135,11 @@ def effects(
     facts = [effect_facts(effect, card) for effect in chosen]
     if json:
         terminal.print_json({"schema": "bayes_aero/effects/1", "effects": facts})
-    elif name is None:
-        print_table(facts)
-    else:
-        print_effect(facts[0])
+        return
+    from bayes_aero.report.page import print_blocks
+    from bayes_aero.report.pages.check import effect_blocks, effects_table
 
-
-def print_table(facts: Sequence[Mapping[str, Any]]) -> None:
-    """By kind; two lines an effect or more, so that 80 columns hold a row."""
-    console = terminal.teller(highlight=True)
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("effect\n  parameters, unit", no_wrap=True)
-    table.add_column("claim\nwhat it needs")
-    for kind in sorted({effect["kind"] for effect in facts}):
-        table.add_section()
-        table.add_row(Text(kind.upper(), "bold"), "")
-        for effect in (effect for effect in facts if effect["kind"] == kind):
-            name = Text(effect["name"] + (" *" if effect["model"] else ""))
-            for p in effect["parameters"]:
-                name.append(f"\n  {p['name']}" + ("" if p["unit"] == "1" else f", {p['unit']}"), "dim")
-            needs = f"needs {', '.join(effect['needs']) or 'nothing'}"
-            table.add_row(name, Text.assemble(effect["claim"], "\n", (needs, "dim")))
-    console.print(table)
-    stars = "*: in the card's model. " if any(effect["model"] for effect in facts) else ""
-    console.print(f"{len(facts)} effects. {stars}bayes-aero effects NAME explains one.", highlight=False)
-
-
-def print_effect(effect: Mapping[str, Any]) -> None:
-    from bayes_aero.report.pages.check import facts, parameter_facts, worked
-    from bayes_aero.report.phrases import unit_behind
-
-    console = terminal.teller(highlight=True)
-
-    def line(title: str, text: str) -> None:
-        console.print(f"{title:<12} ", end="", style="bold")
-        console.print(text, highlight=False, soft_wrap=True)
-
-    console.print(f"{effect['name']}: {effect['claim']}", style="bold", highlight=False)
-    for title, text in facts(effect):
-        line(title, text)
-    for p in effect["parameters"]:
-        unit = unit_behind(p["unit"])
-        console.print()
-        line(p["name"], f"{p['description']}{unit and ',' + unit}")
-        for title, text in parameter_facts(p):
-            line(f"  {title}", text)
-    console.print()
-    line("example", worked(effect))
-    line("source", effect["source"])
+    print_blocks(terminal.teller(), [effects_table(facts)] if name is None else effect_blocks(facts[0]))
 
 
 def simulate(

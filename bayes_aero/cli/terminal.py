@@ -41,7 +41,7 @@ RecordsArgument = Annotated[list[Path], typer.Argument(help=f"{RECORDS}.")]
 ResultArgument = Annotated[str, typer.Argument(help="Folder (or JSON file) of a result.", metavar="RESULT")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else on stdout.")]
 TimingsOption = Annotated[bool, typer.Option("--timings", help="Print the seconds of each stage, on stderr.")]
-VerboseOption = Annotated[bool, typer.Option("--verbose", help="Print all findings below the screen.")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", help="Print the text of the page below the screen.")]
 SeedOption = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Same seed, same machine: same numbers.")]
 OutOption = Annotated[Path, typer.Option(help="Folder for the results.")]
 ResultCardOption = Annotated[str | None, typer.Option(help="The result's card, if not found.", metavar="CARD")]
@@ -159,7 +159,7 @@ def print_failures(console: Console, failures: Sequence[str]) -> None:
 
 
 def print_findings(text: str) -> None:
-    """All that a page says, below the screen."""
+    """All that a page says, below the screen"""
     typer.echo(f"All findings\n{text}", nl=False)
 
 
@@ -173,37 +173,37 @@ def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding]
 
 def conclude(
     screen: Screen | None,
-    written: Sequence[str],
     outcome: Any,
+    document: Path,
+    written: Sequence[str] = (),
     *,
-    text: Path | None,
-    json: Path | None,
+    verbose: bool,
+    json: bool,
     corrects: bool = False,
     compared: bool = True,
     failures: Sequence[str] | None = None,
     failed: bool = False,
     doubtful: bool = False,
 ) -> None:
-    """Show what a job has found on one screen (None: it is shown already) and what was `written` (or the file `json`),
-    then the file `text`, and leave with its code. `corrects`: it takes known errors of sensors out; `compared`: the
-    sensors were; `failed`: the result is of no use; `doubtful`: it is in doubt whatever the records are."""
-    failed_parts: Sequence[str] = outcome.failures if failures is None else failures
-    agreement: Consistency | None = outcome.consistency if compared else None
-    if json is not None:
-        typer.echo(json.read_text(encoding="utf-8"), nl=False)
+    """Show what a job has found on one screen (None: it is shown already), what was `written` and, if `verbose`, the
+    text of the page beside the `document`; or this; and leave with its code. `corrects`: it takes known errors of
+    sensors out; `compared`: the sensors were; `failed`: the result is of no use; `doubtful`: it is in doubt whatever
+    the records are."""
+    if json:
+        typer.echo(document.read_text(encoding="utf-8"), nl=False)
     else:
-        console = teller(highlight=True)
         if screen is not None:
             print_screen(screen)
-        for line in written:
-            console.print(line, highlight=False, soft_wrap=True)
-        if text is not None and text.exists():
-            print_findings(text.read_text(encoding="utf-8"))
-    if failed or failed_parts:
+        for line in (*written, f"Results are in {document.parent}"):
+            teller().print(line, soft_wrap=True)
+        pages = document.with_suffix(".txt"), document.with_name("report.txt")
+        for page in (page for page in pages if verbose and page.exists()):
+            print_findings(page.read_text(encoding="utf-8"))
+    if failed or (outcome.failures if failures is None else failures):
         raise typer.Exit(FAILED)
     if doubtful:
         raise typer.Exit(DOUBT)
-    exit_in_doubt(agreement, outcome.health, corrects=corrects)
+    exit_in_doubt(outcome.consistency if compared else None, outcome.health, corrects=corrects)
 
 
 class InterruptionError(Exception):
@@ -247,6 +247,7 @@ GONE: tuple[tuple[str, str, str], ...] = (
         "--approximate-gp",
         "processes are exact; give parts of records (FILE@FROM:TO) or a longer --resample",
     ),
+    ("run", "--memory", "each of the workers has an equal share; give fewer --workers for more"),
     ("run", "--verify", "run the study again with another --out and compare the two summary.csv"),
     ("simulate", "--page/--no-page", "run check on the record with --out for a page of it"),
     ("effects", "--out", "use --json > effects.json"),

@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts, open_errors
 from bayes_aero.diagnosis.design import narrowed
 from bayes_aero.diagnosis.screening import CandidateScore, lag1_within, screen, uncertainty
 from bayes_aero.diagnosis.search import Search, SearchResult, lacking
-from bayes_aero.diagnosis.selection_state import DEFAULT, DiagnosisSettings, SelectionState, moved, quiet, refitted
+from bayes_aero.diagnosis.selection_state import DEFAULT, DiagnosisSettings, SelectionState, moved, refitted
 from bayes_aero.effect import Effect, Kind
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card import Card
@@ -30,7 +30,7 @@ from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.records import Flights, on_recorded_axes
 from bayes_aero.physics.aircraft import LATERAL, NAMES
 from bayes_aero.processes import blas_threads
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 from bayes_aero.residuals.equation_error import Band, FrequencyError, sampling_times
 
 
@@ -43,7 +43,7 @@ def diagnose(
     settings: DiagnosisSettings = DEFAULT,
     seed: int = 0,
     extra: Sequence[Effect] = (),
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> result.Diagnosis:
     """Find what the card's model gets wrong on `records`; `settings` hold every threshold.
 
@@ -53,13 +53,13 @@ def diagnose(
     card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
     gusts = in_gusts(records, card, seed) if settings.process_noise is None else {}
     candidates = (*own_effects(card.effect_files).values(), *extra)
-    search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress or quiet)
+    search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress)
     by_model = search.trajectories if lacking(records, card) else search.coefficients
     searched = search.innovations() if settings.process_noise or gusts else by_model()
     stages, state = searched.stages, searched.model.state
     kept_of, failed = {stage: extension.state.active for stage, extension in stages.items()}, ()
     if settings.gains and searched.testable_now:
-        candidates, kept_of, failed = _confirmed(searched, progress or quiet)
+        candidates, kept_of, failed = _confirmed(searched, progress)
     else:
         candidates = causes_of(searched, {}, quiet)
     # Offsets between manoeuvres are in the model beside the causes.

@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.consistency import check_sensors, widened
 from bayes_aero.diagnosis.result import FLIGHT_PATH, FoundTerm, NoiseReport, ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening import lag1_within, screen
 from bayes_aero.diagnosis.selection import Extension
-from bayes_aero.diagnosis.selection_state import CandidateModel, SelectionState, quiet
+from bayes_aero.diagnosis.selection_state import CandidateModel, SelectionState
 from bayes_aero.diagnosis.unexplained import Forms, Left, flown_forms, forms_of, offsets_found, unexplained, withdrawn
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.segments import segments
@@ -35,7 +35,7 @@ from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import FLIGHT, required_of
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 from bayes_aero.residuals.base import WINDOW, FlightPathError, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import FilterError, OutputError

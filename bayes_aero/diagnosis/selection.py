@@ -16,14 +16,14 @@ from scipy.optimize import linprog
 from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.result import Absorbed, CancellingPair, Confirmation, Size
 from bayes_aero.diagnosis.screening import CandidateScore, ScreeningResult, screen, uncertainty
-from bayes_aero.diagnosis.selection_state import SelectionState, by_manoeuvre, inverse, moved, quiet, refitted
+from bayes_aero.diagnosis.selection_state import SelectionState, by_manoeuvre, inverse, moved, refitted
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.flight.health import noise_of
 from bayes_aero.inference.covariance import log_density, log_score_gain, median_inflation, nats
 from bayes_aero.inference.results import Scores, score
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 
 OF_NOISE = 0.5  # largest share of an addition that noise may make: beyond, it would take over its regressor's own slope
 

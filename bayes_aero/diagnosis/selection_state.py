@@ -32,10 +32,6 @@ Columns = Int[np.ndarray, " k"]
 Marks = Int[np.ndarray, " m"]
 
 
-def quiet(_: str, __: float) -> None:
-    """Progress that is not shown."""
-
-
 # --- Every threshold of a diagnosis, each with its reason. What is called our choice has no other.
 
 ENOUGH = 3.0  # deviations by which effects must differ for a manoeuvre to separate them

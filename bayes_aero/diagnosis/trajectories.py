@@ -23,7 +23,7 @@ from jaxtyping import Float
 from bayes_aero.diagnosis import result
 from bayes_aero.diagnosis.consistency import sensor_noise
 from bayes_aero.diagnosis.selection import Extension, LeftOut, backward_elimination, large, normal_draws
-from bayes_aero.diagnosis.selection_state import DEFAULT, CandidateModel, DiagnosisSettings, by_manoeuvre, finite, quiet
+from bayes_aero.diagnosis.selection_state import DEFAULT, CandidateModel, DiagnosisSettings, by_manoeuvre, finite
 from bayes_aero.dynamics import flight
 from bayes_aero.dynamics.kalman import neighbour_correlation, prediction_errors, smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
@@ -42,7 +42,7 @@ from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior, departure
 from bayes_aero.physics.aircraft import altitude_of_density
 from bayes_aero.processes import blas_threads, compiled_at, cores
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 
 Vector = Float[np.ndarray, " k"]
 DRAWS = 40  # of the posterior, for the probability of staying inside the tolerances
@@ -127,12 +127,12 @@ def fly_given(
 @blas_threads(0)
 def with_process_noise(
     flown: result.TrajectoryFit,
-) -> tuple[result.ProcessNoise, Callable[[int, Progress | None, str], dict[str, Posterior]]]:
+) -> tuple[result.ProcessNoise, Callable[[int, Progress, str], dict[str, Posterior]]]:
     """Fit again in gusts and with noise of every state that is compared; also what samples its posterior."""
     fit = flown.fit
     gusty, filtered = prediction_error.fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
 
-    def sample(seed: int, progress: Progress | None, engine: str) -> dict[str, Posterior]:
+    def sample(seed: int, progress: Progress, engine: str) -> dict[str, Posterior]:
         with blas_threads(0):
             options = {"seed": seed, "engines": (engine,), "progress": progress}
             return prediction_error.sample_innovations(gusty, filtered, fit.R, **options)
@@ -474,30 +474,29 @@ def compare_trajectories(
     *,
     biases: Mapping[str, Prior] = MappingProxyType({}),
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> result.Trajectories:
     """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
     `biases`: outputs recorded with a constant error in each manoeuvre, which are fitted, too."""
-    tell = progress or quiet
     settings, causes = diagnosis.aerodynamics.state.full.settings, [c.name for c in diagnosis.causes if c.confirmed]
     added = [e for e in diagnosis.aerodynamics.state.full.model.effects if e.name in causes]
-    contenders, lag, noise = _contenders(diagnosis, added, flights, biases, tell)
+    contenders, lag, noise = _contenders(diagnosis, added, flights, biases, progress)
     best = extended = contenders["extended"]
-    tell("trajectories: left out", 0.5)
+    progress("trajectories: left out", 0.5)
     count, inflation = len(extended.fit.flown.index), noise.variance_inflation
     silent = {name: {k: c.silent(k, settings.unidentified) for k in range(count)} for name, c in contenders.items()}
     fits: dict[str, list[output_error.OutputErrorResult]] = {name: [] for name in contenders}
     for number, (name, fit) in enumerate(left_out(tuple(contenders.values()), silent, noise), start=1):
         fits[name].append(fit)
-        tell("trajectories: left out", 0.5 + 0.3 * number / (count * len(contenders)))
+        progress("trajectories: left out", 0.5 + 0.3 * number / (count * len(contenders)))
     if lag is not None and "lagged" in contenders:
         unseen = [holdout_fits(contenders[name], fits[name], {}) for name in ("extended", "lagged")]
         without, within = (left_out_of(paths, extended.fit.flown, inflation) for paths in unseen)
         lag = confirmed(lag, without, within, settings.hold_out)
         best = contenders["lagged"] if lag.kept else extended
-    tell("trajectories: causes that hold-out flights need", 0.8)
+    progress("trajectories: causes that hold-out flights need", 0.8)
     flies = eliminate(best, fits[best.name], added, silent[best.name], noise, settings)
-    tell("trajectories: errors", 0.9)
+    progress("trajectories: errors", 0.9)
     paths, shown = [], {"card": (contenders["card"], fits["card"]), "extended": (flies.contender, flies.fits)}
     for name, (c, _) in shown.items():
         paths += simulated(c.fit.estimate, c.fit.flown, name, "fitted", c.fit.departure, tolerances)
@@ -592,11 +591,10 @@ def fit_trajectories(
     starts: Sequence[Vector] = (),
     tolerances: Mapping[str, float] = MappingProxyType({}),
     setting: result.Setting = result.Setting(),
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> result.TrajectoryFit:
     """Fit windows from the parameters' own start and every one of `starts`, then whole manoeuvres."""
     # Colour, and growth as the flow separates, of what is missed weigh the last fit's priors and samples.
-    tell = progress or quiet
     by_effects = isinstance(flight.unbiased(dynamics), flight.AircraftDynamics)
     dynamics = flight.biased_dynamics(dynamics, flights, setting.biases)
     first = np.array([p.start for p in dynamics.free])
@@ -607,7 +605,7 @@ def fit_trajectories(
     short = segments(flights, dynamics, window=setting.window, **options)
     whole = segments(flights, dynamics, fixed=setting.initial, **options)
     stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
-    tell("windows, then whole manoeuvres", 0.0)
+    progress("windows, then whole manoeuvres", 0.0)
     without = () if setting.priors else flight.unbiased(dynamics).names
     fit = output_error.fit_cascade(stages, [first, *starts], prior_weight=FIRST_INFLATION, without=without)
     if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
@@ -615,12 +613,12 @@ def fit_trajectories(
         fit = output_error.fit_output_error(whole, start=fit.estimate, **again)
     inflation, noise_growth = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        tell("autocorrelation of the residuals", 0.7)
+        progress("autocorrelation of the residuals", 0.7)
         noise = FlightNoise.of(fit)
         inflation, noise_growth = noise.variance_inflation, noise.growth_by_output(whole.outputs)
         whole, weight = noise.on(whole), inflation if setting.priors else 0.0
         fit = output_error.fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
-    tell("errors of the trajectories", 0.9)
+    progress("errors of the trajectories", 0.9)
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
         paths = simulated(first, whole, result.START, result.START, np.zeros_like(fit.departure), tolerances)
         paths += simulated(fit.estimate, whole, result.FITTED, result.FITTED, fit.departure, tolerances)

@@ -25,7 +25,7 @@ from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_
 from bayes_aero.diagnosis.selection_state import Component, DiagnosisSettings, Products, SelectionState, moved, refitted
 from bayes_aero.effect import Kind
 from bayes_aero.inference.covariance import nats
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 
 
 class Left(NamedTuple):
@@ -521,7 +521,7 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     return forms._replace(unknown=described(left.unknown, forms))
 
 
-def flown_forms(extension: Extension, *, seed: int, progress: Progress = selection_state.quiet) -> Forms:
+def flown_forms(extension: Extension, *, seed: int, progress: Progress = quiet) -> Forms:
     """Terms of all coefficients for what an extended model leaves of trajectories or innovations."""
     progress("terms", 0.0)
     instead, terms = contest(extension), list[SelectedTerm]()

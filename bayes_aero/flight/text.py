@@ -345,6 +345,7 @@ def _header_cells(line: str, separator: str | None, width: int, number: int) -> 
     cells = split(line, separator, number)
     if separator is None and len(cells) != width:
         cells = re.split(r"\s{2,}|\t", line.strip())  # names of several words stand two blanks apart
+        cells = [re.sub(r'^"(.*)"$', r"\1", cell).replace('""', '"') for cell in cells]
     if len(cells) == width - 1 and separator is not None:
         cells = [*cells, ""]  # one separator too many at the end of every sample is a habit of loggers
     filled = [cell for cell in cells if cell]

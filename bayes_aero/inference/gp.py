@@ -33,7 +33,7 @@ from bayes_aero.inference.results import GPReport, MleResult, Validation, score
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
 from bayes_aero.processes import blas_threads, cores, exit_with, give_back_memory
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 
 Matrix = Float[np.ndarray, "n d"] | Float[jax.Array, "n d"]
 Vector = Float[np.ndarray, " n"] | Float[jax.Array, " n"]
@@ -379,7 +379,7 @@ def validate(
     mle: MleResult,
     inputs: tuple[str, ...],
     training: Training,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> GPReport:
     """Train on each split's training points and score on its test points, both models on the same ones."""
     # A split that the records do not allow is left out: of one manoeuvre alone, or of one shorter than two blocks.
@@ -447,7 +447,7 @@ def _train(
     }
 
 
-def _trained(work: dict[tuple[str, int, str], Any], n: int, progress: Progress | None) -> dict[tuple, Any]:
+def _trained(work: dict[tuple[str, int, str], Any], n: int, progress: Progress) -> dict[tuple, Any]:
     jobs, trained, tidy = 1, {}, n >= WORTH_PROCESSES  # fewer samples: compiling anew costs more than memory is worth
     if tidy:  # by cores and memory: each takes eight n x n matrices and 1 GiB for the compiler
         each = 8 * 8 * n**2 + 2**30
@@ -461,8 +461,7 @@ def _trained(work: dict[tuple[str, int, str], Any], n: int, progress: Progress |
         try:
             for (kind, number, name), result in zip(work, results, strict=True):
                 trained[kind, number, name] = result
-                if progress:
-                    progress(f"gp: {name}, {kind} split", len(trained) / len(work))
+                progress(f"gp: {name}, {kind} split", len(trained) / len(work))
         except TerminatedWorkerError:
             raise InputError(
                 f"a process that trained on up to {n} samples was killed, probably for lack of memory; "

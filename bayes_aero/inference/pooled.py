@@ -30,7 +30,7 @@ from bayes_aero.inference.sampling import NutsLength, diagnose, find_mode, sampl
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import LogDensity, Observations
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 
 SCATTER = 0.5  # of a prior's deviation: 95 % sure that flights of one aircraft differ less than aircraft do; our choice
 
@@ -85,7 +85,7 @@ class PooledDraws(NamedTuple):
 
 
 def pool(
-    density: Hierarchy, *, seed: int = 0, length: NutsLength = NutsLength(), progress: Progress | None = None
+    density: Hierarchy, *, seed: int = 0, length: NutsLength = NutsLength(), progress: Progress = quiet
 ) -> tuple[PooledDraws, Posterior]:
     """Draws of all, and the posterior of the scatter by NUTS, given which all else is normal."""
     mode = find_mode(density, np.full(density.size, SCATTER))
@@ -143,7 +143,7 @@ def next_flight(
     alone: Mapping[str, MleResult],
     *,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> NextFlight:
     """Pool the fits `alone` of manoeuvres: parameters scatter around the aircraft's, by an amount that is sampled."""
     # `InputError`: fewer than two of the fits are usable.

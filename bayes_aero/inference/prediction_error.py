@@ -44,7 +44,7 @@ from bayes_aero.inference.sampling import EnsembleLength, NutsLength, find_mode,
 from bayes_aero.model.observations import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.processes import compiled_at
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 
 TOLERANCE, HELD_GAINS_TOLERANCE = 1e-3, 0.3  # of the log likelihood, with exact gradients and with the gains held
 MIN_NOISE = 1e-12  # of F and R
@@ -361,7 +361,7 @@ def sample_innovations(
     seed: int = 0,
     length: PosteriorLength = PosteriorLength(),
     engines: Sequence[str] = ENGINES,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> dict[str, Posterior]:
     """The posterior by these `engines`, from the `fit` (with priors) of `fit_disturbed`."""
     density = innovations_posterior(flown, R)

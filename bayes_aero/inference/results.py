@@ -561,7 +561,6 @@ class OutputErrorStatus(Enum):
 # calibration of one-step predictions.
 
 Vector = Float[AnyArray, " n"]
-Draws = Float[AnyArray, "draws points"]
 OfPoints = Float[AnyArray, " points"]  # its length is checked in words
 COLOURED_INNOVATIONS = 0.3  # correlation of neighbouring innovations beyond which something is not modelled; our choice
 
@@ -648,15 +647,3 @@ def score(measured: Vector, predicted: OfPoints) -> Scores:
     r2 = 1.0 - float(np.sum((z - y) ** 2) / np.sum((z - z.mean()) ** 2)) if z_varies else float("nan")
     r = float(np.corrcoef(z, y)[0, 1]) if z_varies and y_varies else float("nan")
     return Scores(r, rmse, theil, r2)
-
-
-def interval_coverage(measured: Vector, draws: Draws) -> dict[float, float]:
-    """Share of `measured` (n,) inside the central intervals of predictive `draws` (draws, n), by level."""
-    z, y = np.asarray(measured, float), np.asarray(draws, float)
-    if y.shape[1:] != z.shape:
-        raise InputError(f"Draws {y.shape} must be (draws, {z.size}) to go with {z.size} measurements.")
-    coverage = {}
-    for level in (0.5, 0.9, 0.95):
-        low, high = np.quantile(y, [(1 - level) / 2, (1 + level) / 2], axis=0)
-        coverage[level] = float(np.mean((z >= low) & (z <= high)))
-    return coverage

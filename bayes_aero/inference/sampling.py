@@ -37,7 +37,7 @@ from bayes_aero.inference.results import (
 )
 from bayes_aero.model.observations import Colour, Density, LogDensity, Noise
 from bayes_aero.processes import cores
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 
 PRIOR_DRAWS, MIN_DRAWS = 8, 2  # of the prior, from which other modes are sought
 MAX_SAMPLES_TIMES_DRAWS = 48_000  # fewer draws are used for longer records
@@ -280,7 +280,7 @@ def sample_ensemble(
     *,
     seed: int = 0,
     length: EnsembleLength = EnsembleLength(),
-    progress: Progress | None = None,
+    progress: Progress = quiet,
     predictive: bool = True,
 ) -> Posterior:
     """Sample until ESS and R-hat reach their targets and the run spans many autocorrelation times."""
@@ -291,8 +291,7 @@ def sample_ensemble(
         with np.errstate(invalid="ignore", divide="ignore"):  # of the slowest parameter, in steps
             tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
         tau = tau if np.isfinite(tau) else np.inf  # as when a walker has never moved
-        if progress:
-            progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
+        progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
         if steps >= AUTOCORRELATION_TIMES * tau or steps >= length.max_steps:
             thin = max(1, int(tau / 2)) if np.isfinite(tau) else 1  # draws closer than that are nearly equal
             # One chain an ensemble, walkers end to end, so that R-hat compares ensembles.
@@ -449,7 +448,7 @@ def sample_nuts(
     *,
     seed: int = 0,
     length: NutsLength = NutsLength(),
-    progress: Progress | None = None,
+    progress: Progress = quiet,
     predictive: bool = True,
 ) -> Posterior:
     """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them."""
@@ -480,9 +479,8 @@ def sample_nuts(
         x = np.concatenate(draws, axis=1)
         marginals = diagnose(x, density.names)
         done = converged(marginals) or x.shape[1] >= most
-        if progress:
-            least = min(m.ess_bulk for m in marginals.values())
-            progress(f"NUTS: {x.shape[1]} draws a chain, ESS {least:.0f}", 1.0 if done else x.shape[1] / most)
+        least = min(m.ess_bulk for m in marginals.values())
+        progress(f"NUTS: {x.shape[1]} draws a chain, ESS {least:.0f}", 1.0 if done else x.shape[1] / most)
         if done:
             break
     by_field = {name: np.concatenate([part[name] for part in fields], axis=1) for name in FIELDS}

@@ -25,7 +25,7 @@ from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.records import despiked_records, join, on_recorded_axes, with_sums
 from bayes_aero.physics.aircraft import needed_channels, required_of
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 from bayes_aero.report.phrases import several
 from bayes_aero.residuals.base import too_few_windows
 
@@ -57,13 +57,12 @@ def record_checks(
     seed: int,
     out: Path | None = None,
     *,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
     left_out: str = "",
     **options: Any,
 ) -> RecordChecks:
     """`left_out`: why the sensors are not compared, if so; `options`: of `consistency`, on errors of sensors."""
-    if progress:
-        progress("do the sensors agree?", 0.0)
+    progress("do the sensors agree?", 0.0)
     agreement, failures = attempted(
         "Whether the sensors agree was not checked",
         lambda: Consistency(left_out) if left_out else consistency(records, card, seed=seed, **options),
@@ -124,14 +123,13 @@ def check_records(
     split: bool = False,
     sensors: bool = True,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> CheckReport:
     """Look at every record, then at what all of them together allow; no aerodynamics is fitted."""
     reports: list[RecordReport] = []
     paths = manoeuvres(paths, card.channels, segments=card.segments, split=split)
     for number, path in enumerate(paths):
-        if progress:
-            progress(f"reading {path.name}", number / len(paths))
+        progress(f"reading {path.name}", number / len(paths))
         report = inspect_record(path, card, resample=resample)
         try:
             if report.record is not None and card.tables:

@@ -44,8 +44,8 @@ from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.processes import blas_threads, cores
-from bayes_aero.progress import Progress
-from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES, ViewFigures, draw_all
+from bayes_aero.progress import Progress, quiet
+from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.page import put_page
 from bayes_aero.report.pages.diagnosis import causes_table, changes_table, diagnosis_page, screen_table, terms_table
 from bayes_aero.report.pages.parts import PageContext
@@ -86,7 +86,7 @@ def diagnose_records(
     *,
     out: Path | None = None,
     hidden: Hidden | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
     answer: Callable[[Outcome], None] = lambda _: None,
 ) -> Outcome:
     """Diagnose, as `bayes-aero diagnose` does; `hidden` is what simulated records hide. `answer` is given the outcome
@@ -95,8 +95,7 @@ def diagnose_records(
     if out is not None:
         writable(out)
     kept = ResultStore(card, records, out, provenance(card, records, options.seed, options.settings, options))
-    if progress:
-        progress("do the sensors agree?", 0.0)
+    progress("do the sensors agree?", 0.0)
     settings = DiagnosisSettings(max_effects=options.max_effects, process_noise=options.process_noise)
     diagnosis = diagnose(records, card, settings=settings, seed=options.seed, progress=progress)
     options = replace(options, test_points=options.test_points and diagnosis.by_coefficients)
@@ -113,15 +112,13 @@ def diagnose_records(
 
 
 def follow_up(
-    kept: ResultStore, records: Sequence[FlightRecord], card: Card, options: DiagnoseOptions, progress: Progress | None
+    kept: ResultStore, records: Sequence[FlightRecord], card: Card, options: DiagnoseOptions, progress: Progress
 ) -> None:
     """What follows the search for causes, the trajectories beside all the rest; then the page."""
     diagnosis, attempt = kept.result.diagnosis, partial(kept.attempt, bad="{}: {}")
-    shown = DIAGNOSIS_FIGURES if options.figures else {}
-    early, late = ({n: draw for n, draw in shown.items() if (n in AFTER_TRAJECTORIES) == x} for x in (False, True))
     with (
         blas_threads(0),
-        in_background(partial(follow, kept, options.test_points, early, envelope=card.envelope), progress) as following,
+        in_background(partial(follow, kept, options.test_points, card.envelope), progress) as following,
     ):  # one limit: of two, the first to end would lift both
         if cores() == 1:
             following()
@@ -138,11 +135,14 @@ def follow_up(
                 kept.keep(["Without trajectories no cause was tested on hold-out flights."])
         elif (flown := kept.result.view.trajectories) and (doubt := sensors_not_missed(diagnosis, flown.asked)).missed:
             kept.keep(view={"diagnosis": judged_on_held_out_flights(diagnosis, doubt)})
-        drawn = following()
+        following()
     if kept.out is not None:
-        drawn |= drawings(kept, late, progress)
-        if progress:
-            progress("report", 0.0)
+        view, written = kept.result.view, []
+        if options.figures and isinstance(view, View):
+            written, failed = draw_all(DIAGNOSIS_FIGURES, view, kept.out / "figures", progress)
+            kept.fail(failed)
+        progress("report", 0.0)
+        drawn = {path.stem: path for path in written}
         context = PageContext(card, records, kept.source, drawn, kept.result)
         kept.fail(put_page(lambda: diagnosis_page(kept.result.view, context), kept.out))
 
@@ -189,36 +189,22 @@ class ResultStore(Growing[Outcome]):
             self.keep(failures=failures)
 
 
-# --- What follows a diagnosis while trajectories are flown: test points, sizes in a band, stalls, scores, figures.
+# --- What follows a diagnosis while trajectories are flown: test points, sizes in a band, stalls, scores.
 
 
-def follow(
-    kept: ResultStore, test_points: bool, figures: ViewFigures, tell: Progress, envelope: Envelope
-) -> dict[str, Path]:
-    """All that needs no trajectories, kept piece by piece; returns the figures drawn, by name."""
+def follow(kept: ResultStore, test_points: bool, envelope: Envelope, tell: Progress) -> None:
+    """All that needs no trajectories, kept piece by piece."""
     diagnosis, attempt = kept.result.diagnosis, partial(kept.attempt, bad="{}: {}")
     if test_points:
         what = "Test points that would decide what is open were not chosen"
         attempt(what, lambda: kept.keep(test_points=proposed_points(diagnosis, envelope)))
         attempt("Causes were not fitted in a band of frequencies", lambda: kept.keep(in_band=causes_in_band(diagnosis)))
-    if kept.out is None:
-        return {}
     view = kept.result.view
-    if isinstance(view, View):
+    if kept.out is not None and isinstance(view, View):
         tell("stall", 0.0)
         attempt("Stall left out", lambda: kept.keep(view={"stalls": with_stalls(view).stalls}))
         what = "Manoeuvres were not scored one by one"
         attempt(what, lambda: kept.keep(view={"holdout": with_holdout_scores(view).holdout}))
-    return drawings(kept, figures, tell)
-
-
-def drawings(kept: ResultStore, figures: ViewFigures, tell: Progress | None) -> dict[str, Path]:
-    view = kept.result.view
-    if not figures or kept.out is None or not isinstance(view, View):
-        return {}
-    written, failed = draw_all(figures, view, kept.out / "figures", tell)
-    kept.fail(failed)
-    return {path.stem: path for path in written}
 
 
 # --- What follows from a diagnosis: the flights that would settle what it left open, and simulated ones.
@@ -270,7 +256,7 @@ def open_sets(diagnosis: Diagnosis) -> dict[frozenset[str], dict[str, float]]:
 
 
 def simulations(
-    diagnosis: Diagnosis, card: Card, records: Sequence[FlightRecord], seed: int, progress: Progress | None = None
+    diagnosis: Diagnosis, card: Card, records: Sequence[FlightRecord], seed: int, progress: Progress = quiet
 ) -> Trajectories:
     bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
     flights = despiked(join(records, card, FLIGHT))[0]
@@ -283,16 +269,14 @@ Result = TypeVar("Result")
 
 
 @contextmanager
-def in_background(
-    job: Callable[[Progress], Result], progress: Progress | None = None
-) -> Iterator[Callable[[], Result]]:
+def in_background(job: Callable[[Progress], Result], progress: Progress = quiet) -> Iterator[Callable[[], Result]]:
     """Run `job` in a thread while the block lasts; what it yields waits for its result. A block that fails ends it."""
     stopped, waited = Event(), Event()
 
     def tell(text: str, share: float) -> None:
         if stopped.is_set():
             raise CancelledError
-        if progress and waited.is_set():
+        if waited.is_set():
             progress(text, share)
 
     with ThreadPoolExecutor(1) as pool:

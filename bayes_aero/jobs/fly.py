@@ -57,7 +57,7 @@ from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Flights, on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.physics.kinematics import PATH_CORE
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.posterior import pair_of
 from bayes_aero.report.figures.time_histories import fly_figures, gusts
@@ -83,7 +83,7 @@ def fly(
     options: FlyOptions = FlyOptions(),
     *,
     out: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Flight:
     """Fit the card's model to the trajectories of the records (output error), as `bayes-aero fly` does.
 
@@ -113,7 +113,7 @@ def fly(
 
 
 def fitted(
-    records: Sequence[FlightRecord], card: Card, options: FlyOptions, out: Path | None, progress: Progress | None
+    records: Sequence[FlightRecord], card: Card, options: FlyOptions, out: Path | None, progress: Progress
 ) -> FlightStore:
     setting = setting_of(options, card)
     if options.frequency is not None:
@@ -130,8 +130,7 @@ def fitted(
     met = in_gusts(records, card, options.seed) if undecided and checks.consistency.recorded else {}
     coefficients, failed, user_code = None, (), bool(card.effect_files)
     if not options.flight_path and card.linear is None:
-        if progress:
-            progress("coefficients", 0.0)
+        progress("coefficients", 0.0)
         what, fit = "The coefficients gave no first values", partial(coefficient_fit, records, card, options.seed)
         coefficients, failed = attempted(what, fit, None, out, user_code=user_code)
     flown = output_error_fit(flights, dynamics, card, coefficients, options, progress)
@@ -143,8 +142,7 @@ def fitted(
     source = provenance(card, records, options.seed, options.settings | chosen, options)
     beside, sample, more = None, None, ()
     if options.process_noise and flown.converged:
-        if progress:
-            progress("process noise", 0.9)
+        progress("process noise", 0.9)
         filtered, more = attempted(
             "Process noise was not fitted", lambda: with_process_noise(flown), None, out, user_code=user_code
         )
@@ -192,7 +190,7 @@ class FlightStore(Growing[Flight]):
                     posterior.save(self.out / f"posterior_{name}.nc")
             self.keep(posteriors=posteriors, sentences=(*begun.sentences, *posterior_sentences(posteriors)))
 
-    def show(self, *, figures: bool, progress: Progress | None) -> None:
+    def show(self, *, figures: bool, progress: Progress) -> None:
         """Histories, figures and page, and what could not be made of them."""
         flight, out = self.result, self.out
         if out is None:
@@ -205,12 +203,11 @@ class FlightStore(Growing[Flight]):
             every += [] if flight.process_noise is None else [({"gusts": gusts}, flight.process_noise)]
             every += [({"pair": pair_of}, flight.posteriors)] if flight.posteriors else []
             for number, (drawings, shown) in enumerate(every):
-                paths, more = draw_all(drawings, shown, out / "figures", None if number else progress)
+                paths, more = draw_all(drawings, shown, out / "figures", quiet if number else progress)
                 drawn, failed = [*drawn, *paths], (*failed, *more)
         many = figures and len(self.records) > MOST_MANOEUVRES
         self.keep([f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else (), failed)
-        if progress:
-            progress("report", 0.95)
+        progress("report", 0.95)
         pictures = {path.stem: path for path in drawn}
         context = PageContext(self.card, self.records, self.source, pictures, self.result)
         if failed := put_page(lambda: fly_page(flight.flown, context), out):
@@ -250,7 +247,7 @@ def output_error_fit(
     card: Card,
     coefficients: MleResult | None,
     options: FlyOptions,
-    progress: Progress | None,
+    progress: Progress,
 ) -> TrajectoryFit:
     """From first values and from those of the coefficients, for a trajectory has optima far from the flight."""
     starts = []
@@ -318,7 +315,7 @@ def flight_path(
     options: PathOptions = PathOptions(),
     *,
     out: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Flight:
     """Reconstruct the flight path, as `bayes-aero path` does: errors of sensors by output error, without aerodynamics.
 

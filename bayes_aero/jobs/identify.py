@@ -44,7 +44,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Colour, Density, Noise, despiked, join, observe
 from bayes_aero.model.records import Forming, on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 from bayes_aero.report.figures.every_figure import FIGURES, draw_all
 from bayes_aero.report.page import put_page
 from bayes_aero.report.pages.estimates import frequency_sentences, leaning_sentences, verdict
@@ -65,7 +65,7 @@ def identify(
     *,
     out: Path | None = None,
     truth: Mapping[str, float] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Identification:
     """As `bayes-aero identify` does; with `out` every stage is written as it ends. `truth`: of simulated records."""
     job = IdentificationJob(records, card, options, out=out, progress=progress)
@@ -97,7 +97,7 @@ class IdentificationJob(Growing[Identification]):
         *,
         model: Model | None = None,
         out: Path | None = None,
-        progress: Progress | None = None,
+        progress: Progress = quiet,
     ) -> None:
         if options.frequency is not None:
             for record in records:  # refuses a band in which it has no frequency
@@ -234,7 +234,7 @@ class IdentificationJob(Growing[Identification]):
 
 
 def sampled(
-    run: Identification, key: str, colour: Colour, engine: Any, *, seed: int, progress: Progress | None = None
+    run: Identification, key: str, colour: Colour, engine: Any, *, seed: int, progress: Progress = quiet
 ) -> tuple[Posterior, tuple[str, ...]]:
     density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
     mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
@@ -251,7 +251,7 @@ def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
 
 
 def pooled_manoeuvres(
-    run: Identification, without_spikes: Sequence[FlightRecord], *, seed: int = 0, progress: Progress | None = None
+    run: Identification, without_spikes: Sequence[FlightRecord], *, seed: int = 0, progress: Progress = quiet
 ) -> NextFlight:
     """Pool the manoeuvres of a run, without the bias of sensor noise; `without_spikes` are its records as fitted."""
     alone = run.alone

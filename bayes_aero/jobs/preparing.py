@@ -43,14 +43,7 @@ def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
     parameters = []
     for p in effect.parameters:
         least, most = effect.sizes.get(p.name, (None, None))
-        a, b = f"{p.prior.location:g}", f"{p.prior.scale:g}"
-        words = {
-            "normal": f"normal, mean {a}, deviation {b}",
-            "lognormal": f"lognormal, median {a}, deviation of the logarithm {b}",
-            "halfnormal": f"half-normal above {a}, scale {b}",
-            "uniform": f"uniform, {a} to {p.prior.location + p.prior.scale:g}",
-        }
-        prior = picked(p.prior, "family", "location", "scale", "source") | {"text": words[p.prior.family]}
+        prior = picked(p.prior, "family", "location", "scale", "source", "text")
         about = picked(p, "name", "unit", "description", "neutral", "start", "bounds")
         parameters.append(about | {"prior": prior, "least_worth_modelling": least, "largest_plausible": most})
     return {

@@ -31,7 +31,7 @@ from bayes_aero.jobs.store import provenance, writable, write_json
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import FLIGHT
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 from bayes_aero.qualification import FAILS_TO, PASSES_FROM, FlightKind, Further, Outside, Qualification, Strip
 from bayes_aero.qualification.qualify import (
     CHANNELS,
@@ -63,7 +63,7 @@ def qualify_result(
     options: QualifyOptions = QualifyOptions(),
     *,
     out: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> tuple[Qualification, tuple[str, ...]]:
     """Qualify the model of a finished result, also by `tests` that were not fitted; and sentences on what failed."""
     source = read_finished(given, options.card)
@@ -236,7 +236,7 @@ NEXT_FLIGHT = "next_flight.nc"
 
 
 def uncertain(
-    source: FinishedResult, flown: SegmentTrajectories, options: QualifyOptions, progress: Progress | None = None
+    source: FinishedResult, flown: SegmentTrajectories, options: QualifyOptions, progress: Progress = quiet
 ) -> tuple[Uncertain, dict[str, str]]:
     """What is not known of the model, and a sentence on where each part comes from; `flown`: its records."""
     names, count = flown.dynamics.names, options.draws
@@ -270,7 +270,7 @@ def uncertain(
 
 
 def between_manoeuvres(
-    source: FinishedResult, model: Uncertain, flown: SegmentTrajectories, seed: int, progress: Progress | None
+    source: FinishedResult, model: Uncertain, flown: SegmentTrajectories, seed: int, progress: Progress
 ) -> tuple[Uncertain, dict[str, str]]:
     """Hold-out errors and the scatter between manoeuvres, where there are at least two."""
     count, linear = len(flown.index), source.linear
@@ -283,8 +283,7 @@ def between_manoeuvres(
             states = f"the card states {several(separate)} for each manoeuvre"
             why, needs = f"{alone}: {states}, so that a flight that is not fitted has none.", f"Not counted: {states}."
         return model, {"structure": why, "next flight": needs}
-    if progress:
-        progress("fits without each manoeuvre", 0.0)
+    progress("fits without each manoeuvre", 0.0)
     inflation = float(source.told["variance_inflation"])
     outputs = tuple(source.told["fitted_outputs"])
     steady = np.ones((*flown.index.shape, len(outputs)))
@@ -296,8 +295,7 @@ def between_manoeuvres(
     if flat:
         why_not = f"Not counted by itself: the card states no prior of {several(flat)}, in units of which it is sought."
     else:
-        if progress:
-            progress("scatter between manoeuvres", 0.5)
+        progress("scatter between manoeuvres", 0.5)
         following = next_parameters(alone_fits(fit, without, inflation), inflation, len(model.draws), seed, progress)
     origins = {
         "structure": "A manoeuvre flown again: the errors of the fitted records. Other flights: the errors of every "

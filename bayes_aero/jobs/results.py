@@ -90,7 +90,7 @@ def diagnosis_results(
         records=record_parts(records, card),
         consistency=parts.ConsistencyPart.of(outcome.consistency),
         tested=part_of_errors(d.tested, d.compared),
-        sentences=sentences(view),
+        sentences=sentences(d, view.trajectories),
         causes=[cause_part(cause) for cause in d.causes],
         unexplained=d.unknown,
         terms=[term_part(term) for term in d.terms],

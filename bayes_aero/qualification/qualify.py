@@ -21,7 +21,7 @@ from scipy.optimize import nnls
 
 from bayes_aero import qualification
 from bayes_aero.diagnosis.design import Information, best_points, noise_of, possible_points, refused_points, variants_of
-from bayes_aero.diagnosis.selection_state import CandidateModel, linearised, quiet
+from bayes_aero.diagnosis.selection_state import CandidateModel, linearised
 from bayes_aero.diagnosis.trajectories import CandidateFit, FlightNoise, label, left_out, masked, posterior_draws
 from bayes_aero.dynamics.pilot import through_gusts
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
@@ -35,7 +35,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Envelope, required_of
 from bayes_aero.processes import compiled_at, cores
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 from bayes_aero.qualification import FlightKind
 from bayes_aero.residuals.equation_error import EquationError
 
@@ -265,13 +265,13 @@ def qualify(
     bands: Mapping[str, float],
     *,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> QualifiedFlights:
     """Every test of every manoeuvre, fitted (`flown`) or not (`tests`); `bands`: half widths by output, SI."""
     cases, judged, strips = _cases(flown, tests, unknown, seed), list[qualification.Test](), list[qualification.Strip]()
     undecided, scattered = list[OpenTest](), None
     for number, case in enumerate(cases):
-        (progress or quiet)("flights", number / len(cases))
+        progress("flights", number / len(cases))
         results, strip, still = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
         judged += results
         strips.append(strip)
@@ -499,7 +499,7 @@ def alone_fits(fit: OutputErrorResult, without: Sequence[OutputErrorResult], inf
 
 
 def next_parameters(
-    alone: Sequence[OutputErrorResult], inflation: float, count: int, seed: int, progress: Progress | None = None
+    alone: Sequence[OutputErrorResult], inflation: float, count: int, seed: int, progress: Progress = quiet
 ) -> Float[np.ndarray, "m k"] | None:
     """Draws of the parameters of a flight not yet flown, by partial pooling; None with fewer than two usable fits."""
     usable = [fit for fit in alone if fit.status in USABLE]

@@ -155,15 +155,17 @@ WIDTH, WIDEST = 100, 240  # characters in a line of the text, and in one of a ta
 def as_text(page: Report) -> str:
     """All that the page says, for a terminal: text and tables; of figures what they show."""
     console = Console(file=io.StringIO(), width=WIDTH, markup=False, highlight=False)
-    _print_blocks(console, page.lead)
+    print_blocks(console, page.lead, WIDEST)
     for section in page.sections:
         console.print(f"\n{section.title}\n{'-' * len(section.title)}")
-        _print_blocks(console, section.blocks)
+        print_blocks(console, section.blocks, WIDEST)
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
     return "".join(f"{line.rstrip()}\n" for line in lines)
 
 
-def _print_blocks(console: Console, blocks: Iterable[Block]) -> None:
+def print_blocks(console: Console, blocks: Iterable[Block], width: int | None = None) -> None:
+    """Blocks as text, tables at most `width` wide (None: as the console)."""
+    tables = Console(file=console.file, width=width or console.width, quiet=console.quiet)
     for block in blocks:
         match block:
             case Text():
@@ -173,14 +175,14 @@ def _print_blocks(console: Console, blocks: Iterable[Block]) -> None:
             case Facts():
                 console.print("\n".join(f"{name}: {fact}" for name, fact in block.items))
             case TextTable():
-                console.print(f"\n{block.caption}")
-                Console(file=console.file, width=WIDEST, markup=False).print(block.terminal())
-                console.print(block.note)
+                console.print(*([f"\n{block.caption}"] if block.caption else []))
+                tables.print(block.terminal())
+                console.print(*filter(None, [block.note]))
             case Picture() | Plot():
                 console.print(f"[Figure] {block.alt if isinstance(block, Plot) else block.caption}")
             case Fold():
                 console.print(f"\n{block.title}")
-                _print_blocks(console, block.blocks)
+                print_blocks(console, block.blocks, width)
 
 
 def put_page(make: Callable[[], Report], folder: Path, name: str = "report.html") -> tuple[str, ...]:

@@ -135,14 +135,6 @@ def nats_text(gain: float, sd: float, sign: str = "") -> str:
     return f"{gain:{sign}z.{places}f} ± {sd:.{places}f} nats"
 
 
-def concise(value: float, sd: float) -> str:
-    """`value(sd)` with two digits of sd, counted in the last digits of the value: -0.391(16)."""
-    if not (np.isfinite(sd) and sd > 0.0):
-        return number(value, 4)
-    places = decimals(sd)
-    return f"{value:z.{places}f}({round(sd * 10.0**places)})"
-
-
 def from_to(low: float, high: float, sd: float) -> str:
     """The ends of an interval with as many digits as its standard error allows."""
     if not np.isfinite([low, high]).all():

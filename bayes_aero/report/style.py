@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 DPI = 150
 COLOURS = 128  # of a file's palette: lines and text need few, and are packed in half the time
 TICKS = 5  # intervals along an axis
-PAD = 0.06  # inches between the parts of a figure
 
 RC: dict[str, Any] = {
     "font.size": 9.0, "axes.titlesize": 10.0, "axes.labelsize": 9.0, "legend.fontsize": 9.0, "figure.titlesize": 12.0,

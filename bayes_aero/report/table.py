@@ -15,7 +15,7 @@ from rich.box import SIMPLE_HEAD
 from rich.text import Text
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.report.phrases import WORDS, bracket, concise, filled, plain_unit, plus_minus
+from bayes_aero.report.phrases import WORDS, bracket, filled, plain_unit, plus_minus
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -190,11 +190,6 @@ def cell_text(value: Any, form: Form) -> str:
 def with_error(e: Estimate) -> str:
     """An estimate ± its standard error; a dash where that is not finite."""
     return plus_minus(e.centre, e.sd) if math.isfinite(e.sd) else NONE
-
-
-def in_brackets(e: Estimate) -> str:
-    """An estimate with its standard error in units of the last digit, where there is no room for ±."""
-    return concise(e.centre, e.sd)
 
 
 def columns_of(rows: Sequence[Any]) -> Callable[..., Column]:

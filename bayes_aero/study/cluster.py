@@ -24,7 +24,7 @@ from typing import Any, cast
 import dask
 import jax
 import psutil
-from dask.utils import format_bytes, parse_bytes
+from dask.utils import format_bytes
 from distributed import Client, Future, KilledWorker, LocalCluster, get_worker
 from distributed.system import MEMORY_LIMIT
 from jax.experimental.compilation_cache import compilation_cache
@@ -54,21 +54,13 @@ OWN_CLUSTER = {
 }
 
 
-def memory_of(given: str | None, workers: int) -> int:
-    """Bytes for each worker: as given ("4GiB"), else an equal share of this machine's memory."""
-    try:
-        size = parse_bytes(given) if given else int(MEMORY_LIMIT // workers)
-    except ValueError:
-        raise InputError(f"--memory {given!r} is no size; write e.g. 4GiB, for each worker") from None
-    if size < MIN_MEMORY:
-        fewer = "give --memory at least 1GB" if given else "give fewer --workers"
-        raise InputError(f"{format_bytes(size)} for each worker are too little to compile a model in; {fewer}")
-    return size
-
-
 @contextmanager
-def local(workers: int, memory: int, units: Path, report: Report) -> Iterator[UnitRunner]:
-    """Worker processes of this machine, one thread each, which end with the context."""
+def local(workers: int, units: Path, report: Report) -> Iterator[UnitRunner]:
+    """Worker processes of this machine, one thread and an equal share of the memory each; they end with the context."""
+    memory = int(MEMORY_LIMIT // workers)
+    if memory < MIN_MEMORY:
+        few = f"{format_bytes(memory)} for each worker are too little to compile a model in"
+        raise InputError(f"{few}; give fewer --workers")
     with ExitStack() as stack:
         stack.callback(sweep, units)
         stack.enter_context(_logs_silenced())
@@ -91,7 +83,7 @@ def local(workers: int, memory: int, units: Path, report: Report) -> Iterator[Un
                 stack.callback(_close, client)
         except (OSError, RuntimeError) as reason:
             raise InputError(f"{workers} workers cannot be started ({_short(reason)}); leave --workers out") from None
-        yield _runner(client, units, report, f"give each worker more than --memory {format_bytes(memory)}")
+        yield _runner(client, units, report, f"each has {format_bytes(memory)}; give fewer --workers")
 
 
 @contextmanager
@@ -222,19 +214,18 @@ class Driver:
     """The program that drives the study: versions and folders that a worker must share, and its command."""
 
     versions: Mapping[str, str]
-    token: str
-    key: str
+    token: str  # a file in the folder of units, by which workers recognise it
     command: tuple[str, ...]
 
     @classmethod
     def of(cls, units: Path) -> Driver:
-        """This process; writes a file into the folder of units by which workers recognise it."""
-        token, key = beside(units.resolve() / "driver"), uuid.uuid4().hex
+        """This process, with its token written."""
+        token = beside(units.resolve() / f"driver-{uuid.uuid4().hex}")
         try:
-            token.write_text(key, encoding="utf-8")
+            token.touch()
         except OSError as reason:
             raise InputError(f"cannot write to {units} ({reason.strerror}); give the same command again") from None
-        return cls(versions_of(), str(token), key, tuple(sys.argv))
+        return cls(versions_of(), str(token), tuple(sys.argv))
 
 
 def versions_of() -> dict[str, str]:
@@ -288,17 +279,14 @@ _CHECKED: set[str] = set()
 
 def _check_driver(driver: Driver) -> None:
     """Check a driver once: refuse other versions and folders that are not shared, and delete files of dead runs."""
-    if driver.key in _CHECKED:
+    if driver.token in _CHECKED:
         return
     here = versions_of()
     other = [f"{name} {here.get(name, 'none')} for {v}" for name, v in driver.versions.items() if here.get(name) != v]
     if other:
         raise InputError(f"a worker on {host()} has {', '.join(other)}; install environment/requirements.txt there")
     token, until = Path(driver.token), time.monotonic() + FILE_TIMEOUT
-    while True:
-        with suppress(OSError):
-            if token.read_text(encoding="utf-8") == driver.key:
-                break
+    while not token.exists():
         if time.monotonic() > until:
             raise InputError(
                 f"a worker on {host()} does not see {token.parent}; give --out, and keep study and records, where "
@@ -307,4 +295,4 @@ def _check_driver(driver: Driver) -> None:
         time.sleep(0.25)
     sweep(token.parent)
     configure()
-    _CHECKED.add(driver.key)
+    _CHECKED.add(driver.token)

@@ -51,7 +51,7 @@ from bayes_aero.jobs.store import (
     write_json,
 )
 from bayes_aero.model.model import Model
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 
 TASKS: dict[str, type[Options]] = {"identify": IdentifyOptions, "diagnose": DiagnoseOptions, "fly": FlyOptions}
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -268,7 +268,7 @@ def checked_options(given: dict[str, Any], task: str, where: str) -> dict[str, A
 
 MANIFEST = "unit.json"
 MIN_FREE_BYTES = 1 << 20  # of the disk, below which no unit starts
-Task = Callable[[Unit, Path, Progress | None], None]
+Task = Callable[[Unit, Path, Progress], None]
 
 
 @dataclass(frozen=True)
@@ -325,7 +325,7 @@ def run_unit(
     folder: str,
     *,
     task: Task | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
     failed: str = "",
 ) -> dict[str, Any]:
     """Run a unit (`Unit.as_json`) into `folder`, which appears when it is complete, with results or with error.txt.
@@ -374,7 +374,7 @@ def run_unit(
     return {"name": unit.name, "state": state, "seconds": seconds, "error": error}
 
 
-def _attempted(task: Task, unit: Unit, out: Path, progress: Progress | None) -> str:
+def _attempted(task: Task, unit: Unit, out: Path, progress: Progress) -> str:
     """Empty, or why the task failed: a sentence for bad input, a traceback for a defect in the unit's folder."""
     try:
         task(unit, out, progress)
@@ -387,7 +387,7 @@ def _attempted(task: Task, unit: Unit, out: Path, progress: Progress | None) -> 
     return ""
 
 
-def run_task(unit: Unit, out: Path, progress: Progress | None = None) -> None:
+def run_task(unit: Unit, out: Path, progress: Progress = quiet) -> None:
     from bayes_aero.flight.reading import read_records
     from bayes_aero.jobs.diagnose import diagnose_records
     from bayes_aero.jobs.fly import fly

@@ -398,8 +398,8 @@ BAD = {  # of every command: what it is asked, and a word of the sentence
     f"{SIMULATE} --manoeuvre aileron_doublet": "lateral axis",
     "fly flight.csv --frequency 0.1 1.5": "identify --frequency",
     "identify flight.csv --next-flight": "2 to 24 manoeuvres, and there is 1",
-    "run study.toml --memory 4GiB": "--workers", "run study.toml --workers 2 --memory lots": "'lots' is no size",
-    "run study.toml --workers 2 --memory 100MB": "too little",
+    "run study.toml --workers 2 --memory 4GiB": "give fewer --workers",
+    "run study.toml --workers 100000": "are too little",
     "run study.toml --workers 2 --dry-run": "leave --workers",
     "run study.toml --workers 2 --scheduler tcp://127.0.0.1:9": "exclude each other",
 }  # fmt: skip

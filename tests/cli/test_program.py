@@ -54,7 +54,7 @@ def test_the_catalogue_is_listed_and_explained(program):
     assert set(effects) == set(CATALOGUE)
     holds(program("effects").out, *CATALOGUE)
     explained = program("effects", "pitch_rate_bias").out
-    holds(explained, "rad/s", "Klein and Morelli", "0.054", "normal, mean 0, deviation 0.01")
+    holds(explained, "rad/s", "Klein and Morelli", "0.054", "normal 0 ± 0.01")
     assert effects["flow_separation"]["parameters"][0]["bounds"] == [1.0, 200.0]
 
 

@@ -249,10 +249,10 @@ def test_ctrl_c_stops_at_once_and_says_how_to_go_on(folder, cluster, undisturbed
 def test_a_unit_that_kills_its_workers_fails_alone(folder):
     (folder / "flights" / "sound.csv").rename(folder / "flights" / "deadly.csv")
     (folder / "study.toml").write_text(STUDY.replace("[0, 1, 2, 3, 4]", "[0]"))
-    with driving(folder, "--workers", "2", "--memory", "2GiB", "--json") as driver:
+    with driving(folder, "--workers", "2", "--json") as driver:
         rows = {row["name"].split("-")[0]: row for row in answer(ended(driver), 1)["units"]}
     assert {name: row["state"] for name, row in rows.items()} == {"biased": "done", "deadly": "failed"}
-    holds(rows["deadly"]["error"], "its process died 3 times", "--memory 2.00 GiB")
+    holds(rows["deadly"]["error"], "its process died 3 times", "give fewer --workers")
     (error,) = (folder / "study_results" / "units").glob("deadly-*/error.txt")
     assert error.read_text().strip() == rows["deadly"]["error"]
 

@@ -25,13 +25,13 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.health import OpenError
 from bayes_aero.inference.results import Scores
 from bayes_aero.physics.aircraft import NAMES
-from bayes_aero.report.pages.diagnosis import diagnosis_sentences
+from bayes_aero.report.pages.diagnosis import sentences
 from bayes_aero.residuals.equation_error import EquationError
 
 
 def advised(d: result.Diagnosis, name: str) -> bool:
     """Whether the report says how to put a cause on the card."""
-    return any(s.startswith("In [model] of the card add ") and f'"{name}"' in s for s in diagnosis_sentences(d))
+    return any(s.startswith("In [model] of the card add ") and f'"{name}"' in s for s in sentences(d))
 
 
 def test_held_out_flights_that_are_predicted_worse_deny_a_cause(diagnosed):
@@ -40,7 +40,7 @@ def test_held_out_flights_that_are_predicted_worse_deny_a_cause(diagnosed):
     flights = result.Confirmation((), {name: (90.0, 5.0)}, {name: {"q": (-111.6, 20.0)}})
     judged = decided.judged_on_held_out_flights(d, flights)
     assert not judged.causes[0].confirmed
-    told = next(s for s in diagnosis_sentences(judged) if s.startswith(f"{name}: "))
+    told = next(s for s in sentences(judged) if s.startswith(f"{name}: "))
     assert "with it they are predicted worse: log density of q -111.6 ± 20.0" in told
 
 
@@ -174,7 +174,7 @@ def decided_on(stated, diagnosed, forms=None, **values):
     stated(confirmation=result.Confirmation(("thrust_scale",), {"thrust_scale": (40.0, 5.0)}), **values)
     ((found,), kept, _) = decided._confirmed(searched("thrust_scale", forms=forms), lambda *_: None)
     d = replace(diagnosed.view.diagnosis, causes=(found,), beyond=())
-    return found, kept, d, next(s for s in diagnosis_sentences(d) if s.startswith("thrust_scale: "))
+    return found, kept, d, next(s for s in sentences(d) if s.startswith("thrust_scale: "))
 
 
 @pytest.mark.parametrize(
@@ -249,7 +249,7 @@ def test_half_of_a_joint_estimate_is_no_cause(diagnosed):
     assert (causes, beyond) == ((), (bias, scale))
     d = replace(diagnosed.view.diagnosis, causes=causes, beyond=beyond)
     assert not advised(d, "airspeed_scale")
-    (said,) = [s for s in diagnosis_sentences(d) if s.startswith("airspeed_scale was estimated together")]
+    (said,) = [s for s in sentences(d) if s.startswith("airspeed_scale was estimated together")]
     assert "airspeed_bias (correlation -0.97)" in said
     assert decided.without_conditional((scale,), ()) == ((scale,), ())
 
@@ -303,7 +303,7 @@ def test_sizes_that_no_sensor_or_aircraft_has_are_said(diagnosed):
     off = cause("alpha_bias", np.radians(9.0), np.radians(0.5), implausible={"alpha_bias": np.radians(3.0)})
     found = replace(next(c for c in d.causes if c.name == "alpha_squared_moment"), ambiguous_with=())
     large = replace(found, implausible={"Cma2": 0.1})
-    said = diagnosis_sentences(replace(d, beyond=(replace(off, kind="measurement"), large)))
+    said = sentences(replace(d, beyond=(replace(off, kind="measurement"), large)))
     (sentence,) = [x for x in said if "alpha_bias" in x]
     assert "9.00 ± 0.50 deg" in sentence
     assert "at most 3 deg" in sentence
@@ -382,7 +382,7 @@ def test_what_flight_does_not_miss_or_cannot_test_is_not_confirmed(diagnosed):
     untested = replace(d, causes=tuple(replace(c, missed=(float("nan"), float("nan"))) for c in d.causes))
     found = decided.judged_on_held_out_flights(untested, result.Confirmation((), {}), {"Cma2"})
     assert {c.name for c in found.causes if not c.confirmed} == {"alpha_squared_moment"}
-    assert "alpha_squared_moment: named, but not tested on hold-out data." in diagnosis_sentences(found)
+    assert "alpha_squared_moment: named, but not tested on hold-out data." in sentences(found)
     # Noise of the regressors bends coefficients as an error of a sensor may; a simulated flight has none.
     scale = replace(cause("accel_y_scale", -0.22, 0.05), kind="measurement")
     of_the_path = replace(scale, name="alpha_scale", stage="flight path")
@@ -464,10 +464,10 @@ def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed, left, verdi
     """One sure cause, and the simulation still off by 1.2 m/s where the sensor is off by 0.3 m/s, or not."""
     d = replace(diagnosed.view.diagnosis, causes=(cause(),), unknown=(), verdict=verdict)
     tested = result.Tested({"airspeed": result.OutputMiss(0.3, left, 1.2)})
-    headline, detail, *_ = diagnosis_sentences(replace(d, tested=tested))
+    headline, detail, *_ = sentences(replace(d, tested=tested))
     assert ("explain" in headline) is (verdict is result.Verdict.EXPLAINED)
     assert ("V 1.2 m/s" in headline) is (verdict is not result.Verdict.EXPLAINED)
     assert "(noise 0.30 m/s)" in detail
     off = result.Tested({"q": result.OutputMiss(0.0, 1.0, 1.0)})
-    assert "57 deg/s" in diagnosis_sentences(replace(d, causes=(), verdict=result.Verdict.UNDECIDED, tested=off))[0]
-    assert "was not computed" in diagnosis_sentences(replace(d, tested=result.Tested({})))[0]
+    assert "57 deg/s" in sentences(replace(d, causes=(), verdict=result.Verdict.UNDECIDED, tested=off))[0]
+    assert "was not computed" in sentences(replace(d, tested=result.Tested({})))[0]

@@ -47,7 +47,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import NAMES, Axis
-from bayes_aero.report.pages.diagnosis import diagnosis_sentences
+from bayes_aero.report.pages.diagnosis import sentences
 from bayes_aero.residuals.base import Blockwise
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH
@@ -498,7 +498,7 @@ def test_what_is_taken_up_is_in_the_verdict_and_the_text(diagnosed):
         assert after.verdict is verdict
     sizes = {"thrust_scale": Size(-0.1, 0.2, "1")}
     elevator = Absorbed("elevator_moment", "Cmde", "1/rad", "elevator", (-0.2, 0.01), (-1.0, 0.5), sizes)
-    said = diagnosis_sentences(replace(diagnosed.view.diagnosis, absorbed=(elevator,)))
+    said = sentences(replace(diagnosed.view.diagnosis, absorbed=(elevator,)))
     (sentence,) = (x for x in said if "elevator does not move" in x)
     for told in ("Cmde", "-0.200 ± 0.010", "-1.00 ± 0.50", "thrust_scale", "cannot tell which"):
         assert told in sentence

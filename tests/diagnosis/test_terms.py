@@ -33,7 +33,7 @@ from bayes_aero.jobs.store import plain
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import FLIGHT, Aircraft
-from bayes_aero.report.pages.diagnosis import diagnosis_sentences, terms_table
+from bayes_aero.report.pages.diagnosis import sentences, terms_table
 from bayes_aero.residuals.output_error import AddedCoefficients, AddedToFilter, FilterError, OutputError
 
 # Terms that nobody listed: the library by hand, the effect file that states one, and what is refused
@@ -152,7 +152,7 @@ def test_a_term_is_written_and_said_with_its_factor_and_its_rivals(diagnosed):
     jsonschema.validate(plain([term_part(FOUND), term_part(MEMORY)]), one)
     assert term_part(FOUND).ambiguous_with == {"alpha qhat": 0.3}
     d = replace(diagnosed.view.diagnosis, terms=(FOUND, replace(MEMORY, others=())))
-    said = [s for s in diagnosis_sentences(d) if s.startswith("Form: ")]
+    said = [s for s in sentences(d) if s.startswith("Form: ")]
     assert len(said) == 3
     for told in ("Cm has a term alpha qhat (1 - X)", "40%", "+55", "from alpha qhat (30%)"):
         assert told in said[0]

@@ -10,7 +10,7 @@ from scipy.stats import kstest, norm
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import BLOCK_SECONDS, make_splits
-from bayes_aero.inference.results import interval_coverage, score
+from bayes_aero.inference.results import score
 from bayes_aero.inference.sampling import BAND, histogram, neighbours, pit
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Colour, Density, Noise
@@ -96,14 +96,7 @@ def test_scores_of_a_hand_worked_case_constant_channels_and_bad_samples():
         score(z, y)
 
 
-def test_coverage_of_a_known_distribution_and_what_cannot_be_counted():
-    z = np.random.default_rng(11).normal(size=4000)
-    draws = norm.ppf((np.arange(1000) + 0.5) / 1000)[:, None] * np.ones(4000)
-    assert interval_coverage(z, draws) == pytest.approx({level: level for level in (0.5, 0.9, 0.95)}, abs=0.03)
-    narrow = interval_coverage(z, 0.5 * draws)
-    assert narrow[0.95] == pytest.approx(0.673, abs=0.04)  # P(|z| < 0.98)
-    with pytest.raises(InputError, match="measurements"):
-        interval_coverage(np.zeros(4), np.zeros((10, 5)))
+def test_what_cannot_be_scored_is_refused():
     for z, y in ((np.zeros(4), np.zeros(5)), (np.zeros(1), np.zeros(1))):
         with pytest.raises(InputError, match="one length"):
             score(z, y)

@@ -365,8 +365,8 @@ MOTION = Motion(120.0, 4000.0, MODES)
 def test_modes_stand_on_the_page_and_what_motion_lacks_is_said():
     (modes,) = blocks_of(fly_page(flight().flown, context(motion=MOTION)), "motion")
     assert [row[:3] for row in modes.rows] == [
-        ("Dutch roll", "period, s", "3.831(14)"), ("Dutch roll", "damping ratio", "0.1091(24)"),
-        ("roll", "time constant, s", "0.714(15)"), ("spiral", "neither grows nor falls beyond its error", "–"),
+        ("Dutch roll", "period, s", "3.831 ± 0.014"), ("Dutch roll", "damping ratio", "0.1091 ± 0.0024"),
+        ("roll", "time constant, s", "0.714 ± 0.015"), ("spiral", "neither grows nor falls beyond its error", "–"),
     ]  # fmt: skip
     assert "at 120 m/s and 4000 m" in modes.note
     for motion, words in ((MOTION, "spiral"), (replace(MOTION, modes=(), why_not="no trim"), "no trim")):

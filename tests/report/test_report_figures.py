@@ -184,7 +184,7 @@ def test_figures_table_and_sentences_without_a_cause(diagnosed, tmp_path):
     assert not failed
     assert {path.stem for path in written} == DIAGNOSIS_FIGURES.keys() - {"gain", "trajectories_hold_out"}
     assert causes_table(empty).frame().empty
-    assert "No significant model error" in sentences(nothing)[0]
+    assert "No significant model error" in sentences(nothing.diagnosis)[0]
 
 
 def test_shares_of_the_mean_square_error_add_up_and_the_extension_explains_more(diagnosed):
@@ -234,10 +234,10 @@ def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
         view.diagnosis, verdict=Verdict.PARTLY_EXPLAINED, causes=(cause,), unknown=unknown, minor=("alpha_delay",),
         not_testable={"flap_moment": "channel flap does not move in this record"},
     )  # fmt: skip
-    text = " ".join(sentences(replace(view, diagnosis=d)))
+    text = " ".join(sentences(d, view.trajectories))
     holds(text, cause.name, cause.claim, "mass_scale", "Cm", "phi", "25%", "alpha_delay", "flap")
     unexplained = replace(d, verdict=Verdict.UNEXPLAINED, causes=())
-    assert "no effect of the catalogue" in sentences(replace(view, diagnosis=unexplained))[0]
+    assert "no effect of the catalogue" in sentences(unexplained)[0]
 
 
 def test_a_size_on_its_bound_is_no_measurement(diagnosed):
@@ -252,9 +252,9 @@ def test_a_size_on_its_bound_is_no_measurement(diagnosed):
     assert [n for n, size in bounded.items() if size.at_bound] == [name]
     assert not any(size.at_bound for size in extension.sizes.values())
     cause = replace(cause, parameters={name: bounded[name]})
-    text = " ".join(sentences(replace(view, diagnosis=replace(view.diagnosis, causes=(cause,)))))
+    text = " ".join(sentences(replace(view.diagnosis, causes=(cause,)), view.trajectories))
     assert f"{name} is at a parameter bound" in text
-    assert "at a parameter bound" not in " ".join(sentences(view))
+    assert "at a parameter bound" not in " ".join(sentences(view.diagnosis, view.trajectories))
 
 
 def test_probabilities_what_was_hidden_and_autocorrelation():

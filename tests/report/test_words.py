@@ -27,7 +27,7 @@ from bayes_aero.model.observations import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.report import phrases, screen
 from bayes_aero.report.pages import trajectories
-from bayes_aero.report.pages.diagnosis import change_sentences, changes_table, diagnosis_sentences
+from bayes_aero.report.pages.diagnosis import change_sentences, changes_table, sentences
 from bayes_aero.report.pages.estimates import sign_sentences, verdict
 from bayes_aero.report.pages.fly import disagreement_sentences, fly_sentences, outside
 from bayes_aero.report.pages.identification import identification_screen
@@ -165,7 +165,7 @@ def test_a_change_is_reported_with_its_time_values_possible_reasons_and_rivals(c
 def test_a_change_is_reported_beside_the_verdict_and_is_no_cause(diagnosed):
     assert result.verdict_of([], [CHANGE]) is result.Verdict.UNEXPLAINED
     d = replace(diagnosed.view.diagnosis, verdict=result.Verdict.UNEXPLAINED, causes=(), unknown=(), changes=(CHANGE,))
-    headline, *rest = diagnosis_sentences(d)
+    headline, *rest = sentences(d)
     assert headline.key == "verdict_nothing_explains"
     (said,) = change_sentences([CHANGE])
     assert said in rest
@@ -439,6 +439,7 @@ def test_there_is_one_status(calibration, status, parts):
 def test_the_table_has_units_and_per_cent():
     table = trajectories.one_step_table(predictions(q=results.Calibration.TOO_WIDE), {"alpha": "rad", "q": "rad/s"})
     head, *_ = rows = table.text().rows
-    assert head == ("α [deg]", "0.20", "1.020(30)", "48(4)", "91(2)", "93(2)", "98.5(4)", "calibrated")
+    inside = "1.020 ± 0.030", "48.0 ± 4.0", "91.0 ± 2.0", "93.0 ± 2.0", "98.50 ± 0.40"
+    assert head == ("α [deg]", "0.20", *inside, "calibrated")
     assert [(row[0], row[-1]) for row in rows[1:]] == [("q [deg/s]", "too wide"), ("all together", "calibrated")]
     assert rows[2][1] == "–"

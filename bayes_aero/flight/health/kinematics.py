@@ -125,11 +125,6 @@ def _mean_terms(name: str, view: View, rates: Sequence[View]) -> np.ndarray:
     return np.array(terms)[:, None] / MEANS[name].allowed
 
 
-def side_bias(view: View) -> float:
-    """Mean lateral acceleration beyond what bank, turn and sideslip make, m/s2; zero where sideslip leaves it open."""
-    return MEANS["side"].allowed * float(_mean_terms("side", view, [rates_of(view)]).sum())
-
-
 def integrated(rate: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (rate[:-1] + rate[1:]))])
 
@@ -507,7 +502,9 @@ def _bias(record: FlightRecord, card: Card, view: View, left: Misfits) -> Findin
     terms = terms_of(view, {"side"})["side"]
     if "accel_y_bias" in card.effects or abs(terms.sum()) < np.sqrt(1.0 + SCALE**2 * np.sum(terms**2)):
         return  # stated there, or no more than errors of scale make in turns
-    off, mean = side_bias(view), float(np.mean(view["ay"]))
+    # Beyond what bank, turn and sideslip make; zero where sideslip leaves it open.
+    off = MEANS["side"].allowed * float(_mean_terms("side", view, [rates_of(view)]).sum())
+    mean = float(np.mean(view["ay"]))
     tilt = np.degrees(np.arcsin(min(abs(off) / GRAVITY, 1.0)))
     yield finding(
         record, "ay", "bias",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 from matplotlib.figure import Figure
 
 from bayes_aero.errors import failure
-from bayes_aero.progress import Progress
+from bayes_aero.progress import Progress, quiet
 from bayes_aero.report.figures import diagnosis, posterior, time_histories
 from bayes_aero.report.style import Drawing, NotDrawn, save
 
@@ -23,22 +23,19 @@ FIGURES: dict[str, Drawing] = dict(sorted((posterior.FIGURES | time_histories.FI
 DIAGNOSIS_FIGURES: ViewFigures = (
     diagnosis.DIAGNOSIS_FIGURES | posterior.DIAGNOSIS_FIGURES | {"trajectories_hold_out": time_histories.hold_out}
 )
-AFTER_TRAJECTORIES = ("found", "trajectories_hold_out")
-"""Those of a diagnosis that need trajectories, or show them if they are there."""
 
 Shown = TypeVar("Shown")
 
 
 def draw_all(
-    drawings: Mapping[str, Callable[[Shown], Figure]], shown: Shown, folder: Path, progress: Progress | None = None
+    drawings: Mapping[str, Callable[[Shown], Figure]], shown: Shown, folder: Path, progress: Progress = quiet
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Draw every figure for which `shown` holds something into `folder`: paths, and a sentence on each failure."""
     folder.mkdir(parents=True, exist_ok=True)
     written, failed = [], []
     for number, (stem, draw) in enumerate(drawings.items()):
         path = folder / f"{stem}.png"
-        if progress:
-            progress(f"figure {stem}", number / len(drawings))
+        progress(f"figure {stem}", number / len(drawings))
         try:
             path.unlink(missing_ok=True)  # of an earlier run
             gc.disable()  # a figure has so many objects that all that JAX holds would be searched for cycles each time
@@ -49,6 +46,5 @@ def draw_all(
             failed.append(failure(f"Figure {stem} was not drawn", reason, folder.parent))
         finally:
             gc.enable()
-    if progress:
-        progress("figures", 1.0)
+    progress("figures", 1.0)
     return written, tuple(failed)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.page import Plot, Report, fold, section
+from bayes_aero.report.page import Block, Facts, Plot, Report, Text, fold, section
 from bayes_aero.report.pages import parts
-from bayes_aero.report.phrases import for_people, not_testable_sentences, sentence, unit_behind
+from bayes_aero.report.phrases import for_people, not_testable_sentences, plain_unit, sentence, several
 from bayes_aero.report.plots import COLOURS, Line, Panel, measured_panel
 from bayes_aero.report.screen import Screen, claims, doubts_of
-from bayes_aero.report.table import Column, Table, TextTable, columns_of
+from bayes_aero.report.table import NONE, Column, Table, TextTable, columns_of
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -237,48 +236,48 @@ def _guesses(starter: Starter) -> tuple[Any, ...]:
     return (caution, TextTable("Guesses", head, tuple(rows), words=(5,))) if rows else ()
 
 
-def facts(effect: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Name and text of what holds for the effect as a whole."""
-    channel = effect["stage"] == "channel"
-    stage = "acts on the recorded channels" if channel else f"acts at the stage {effect['stage']}"
-    rows = [
-        ("kind", f"{effect['kind']}; {stage}"),
-        ("axes", " and ".join(effect["axes"])),
-        ("formula", " ".join(effect["formula"].split()) or "not stated"),
-        ("needs", ", ".join(effect["needs"]) or "nothing"),
-    ]
-    if effect["rests_on"]:
-        rows.append(("uses", ", ".join(effect["rests_on"]) + " of other effects in the model"))
-    if effect["model"] is not None:
-        rows.append(("card", "in the card's model" if effect["model"] else "not in the card's model"))
-    if not effect["proposed_by_diagnose"]:
-        rows.append(("diagnose", "never proposes it; a card may name it"))
-    return rows
+# --- The catalogue of effects, on a terminal.
 
 
-def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The same of one of its parameters, beside its description."""
-    rows = [
-        ("neutral", f"{shown(p['neutral'])}{unit_behind(p['unit'])}: there the effect is absent"),
-        ("bounds", f"{shown(p['bounds'][0])} to {shown(p['bounds'][1])}"),
-        ("prior", f"{p['prior']['text']} ({p['prior']['source']})"),
-    ]
-    if p["least_worth_modelling"] is not None:
-        least, most = shown(p["least_worth_modelling"]), shown(p["largest_plausible"])
-        rows.append(("sizes", f"smallest worth modelling {least} from neutral, largest plausible {most}"))
-    return rows
+def effects_table(facts: Sequence[Mapping[str, Any]]) -> TextTable:
+    """All effects by kind, with their parameters."""
+    rows, stars = [], "*: in the card's model. " if any(effect["model"] for effect in facts) else ""
+    for effect in sorted(facts, key=lambda effect: effect["kind"]):
+        parameters = "\n".join(f"{p['name']} [{plain_unit(p['unit'])}]" for p in effect["parameters"])
+        claim = f"{effect['claim']} It needs {several(effect['needs']) or 'nothing'}."
+        rows.append((f"{effect['name']}{' *' * bool(effect['model'])}\n{effect['kind']}", parameters, claim))
+    note = f"{len(facts)} effects. {stars}bayes-aero effects NAME explains one."
+    return TextTable("", ("effect\nkind", "parameters", "claim"), tuple(rows), words=(1, 2), note=note)
 
 
-def worked(effect: Mapping[str, Any]) -> str:
-    example = effect["example"]
-    sides = example["parameters"] | example["signals"] | example["known"], example["increments"]
-    given, added = (", ".join(f"{name} = {shown(value)}" for name, value in side.items()) for side in sides)
-    return f"{given} adds {added} ({example['source']})"
+def effect_blocks(effect: Mapping[str, Any]) -> list[Block]:
+    """What one effect says and needs, and a row for each of its parameters."""
+    example, about, rows = effect["example"], [], []
+    for side in (example["parameters"] | example["signals"] | example["known"], example["increments"]):
+        about.append(", ".join(f"{name} = {numbers(value)}" for name, value in side.items()))
+    facts = {
+        "kind": f"{effect['kind']}, at the stage {effect['stage']}, {' and '.join(effect['axes'])}",
+        "formula": " ".join(effect["formula"].split()) or "not stated",
+        "needs": several(effect["needs"]) or "nothing",
+        "uses": f"{several(effect['rests_on']) or 'nothing'} of other effects in the model",
+        "diagnose": "proposes it" if effect["proposed_by_diagnose"] else "never proposes it; a card may name it",
+        "example": f"{' adds '.join(about)} ({example['source']})",
+        "source": effect["source"],
+    }
+    for p in effect["parameters"]:
+        name, prior = (
+            f"{p['name']} [{plain_unit(p['unit'])}]",
+            f"{p['prior']['family']} {p['prior']['text']}\n({p['prior']['source']})",
+        )
+        bounds = " to ".join(map(numbers, p["bounds"]))
+        least, most = numbers(p["least_worth_modelling"]), numbers(p["largest_plausible"])
+        rows.append((name, p["description"], numbers(p["neutral"]), bounds, prior, f"{least} to {most}"))
+    head = "parameter", "what it is", "absent at", "bounds", "prior", "sizes worth\nmodelling"
+    table = TextTable("", head, tuple(rows), words=(1, 3, 4, 5))
+    return [Text(f"{effect['name']}: {effect['claim']}"), Facts(tuple(facts.items())), table]
 
 
-def shown(value: Any) -> str:
+def numbers(value: Any) -> str:
     if isinstance(value, Sequence):
-        return "(" + ", ".join(shown(x) for x in value) + ")"
-    if math.isinf(value):
-        return "-infinity" if value < 0.0 else "infinity"
-    return f"{value:g}"
+        return f"({', '.join(map(numbers, value))})"
+    return NONE if value is None else f"{value:g}"

@@ -35,6 +35,7 @@ from bayes_aero.report.phrases import (
     from_to,
     not_testable_sentences,
     plain_unit,
+    plus_minus,
     sentence,
     several,
     size_text,
@@ -42,7 +43,7 @@ from bayes_aero.report.phrases import (
 )
 from bayes_aero.report.plots import MODELS, Panel
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
-from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, in_brackets, or_dash, table
+from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, or_dash, table
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import (
@@ -66,18 +67,13 @@ SHOWN = 4  # other terms that are named
 SEEN = 0.005  # change of R² that two digits show
 
 
-def sentences(view: DiagnosisView) -> list[str]:
+def sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
     """The findings, one sentence or two each: verdict, causes, unexplained structure, what is not testable."""
-    return diagnosis_sentences(view.diagnosis, view.trajectories)
-
-
-def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
-    """As `sentences`, of a diagnosis alone."""
     return [text for listed in findings(d, flown).values() for text in listed]
 
 
 def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[str]]:
-    """The sentences by what they are on, in the order of reading."""
+    """The same by what they are on, in the order of reading."""
     bases = {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}
     absorbed = [(a, " or ".join(f"{n} {_size(x)}" for n, x in a.sizes.items())) for a in d.absorbed]
     beside = " in comparison with the unexplained structure" if d.left else ""
@@ -340,7 +336,7 @@ def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
     agree = dict.fromkeys(s.cause for s in sizes.sizes if s.cause not in {a.cause for a in apart})
     texts = [sentence("band_agrees", band=band, names=agree)] if agree else []
     for s in apart:
-        inside, whole = (in_brackets(Estimate.normal(*size)) for size in (s.in_band, s.coefficients))
+        inside, whole = (plus_minus(*size) for size in (s.in_band, s.coefficients))
         texts.append(sentence("band_differs", s=s, band=band, inside=inside, whole=whole))
     return (*texts, *([f"The band does not show {several(sizes.unseen)}."] if sizes.unseen else []))
 
@@ -558,7 +554,10 @@ def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
         lead.append(WORDS["paragraphs"]["not_drawn"])
     residuals = "Residuals: size, composition, autocorrelation, calibration"
     drawn = gallery("residual_profiles", "residual_colour")
-    in_full = sentences(view)[1:], parts.not_testable_list(d.not_testable)
+    moves = (
+        whole and whole.moves and (moves_table(whole), parts.symbols(card, whole.parameters, whole.moves, degrees=True))
+    )
+    in_full = sentences(d, view.trajectories)[1:], parts.not_testable_list(d.not_testable)
     return Report(
         title=f"Diagnosis: {card.title}",
         subtitle=f"The model error, its causes, and the gain of the extended model{FROM_WHAT[d.compared]}",
@@ -572,7 +571,7 @@ def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
             section("fit", "Measured and simulated coefficients", lambda: whole and _coefficients(whole)),
             section("trajectories", "Trajectories, before and after", lambda: _flown(view, card)),
             section("stall", "The stall", lambda: _stall(whole, gallery)),
-            section("parameters", "Change of the card's parameters", lambda: whole and _moved(whole, card)),
+            section("parameters", "Change of the card's parameters", lambda: moves),
             section("diagnostics", "Diagnostics", lambda: whole and fold(residuals, residual_table(whole), drawn)),
             parts.provenance_section(context.source, result.notes),
         ],
@@ -599,10 +598,6 @@ def _stall(view: View | None, gallery: Gallery) -> Any:
     about = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
     stalls = {MODELS[key]: s for key, s in view.stalls.items()}
     return parts.stall_table(stalls, about), gallery("stall_models", "separation_models")
-
-
-def _moved(view: View, card: Card) -> Any:
-    return view.moves and (moves_table(view), parts.symbols(card, view.parameters, view.moves, degrees=True))
 
 
 def _flown(view: DiagnosisView, card: Card) -> Any:

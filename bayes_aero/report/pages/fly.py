@@ -31,7 +31,6 @@ from bayes_aero.report.table import (
     Column,
     Estimate,
     Table,
-    in_brackets,
     or_dash,
     parameter_columns,
     table,
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
     from bayes_aero.flight.card import Card
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.jobs.results import Flight
-    from bayes_aero.parameter import Prior
 
 START, FITTED = FLOWN
 MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
@@ -177,7 +175,8 @@ def parameter_table(flown: TrajectoryFit) -> Table:
     """Every parameter, SI and radians; `crb` is infinite where the data alone do not determine it."""
     fit, errors = flown.fit, "standard error"
     start, estimate, crb, sd = (list(map(float, x)) for x in (flown.start, fit.estimate, fit.crb, fit.sd_corrected))
-    priors = [prior_text(p.prior if flown.setting.priors else None) for p in fit.parameters]
+    origins = [f"{p.prior.text}, {'card' if p.prior.by_card else 'default'}" for p in fit.parameters]
+    priors = origins if flown.setting.priors else ["none"] * len(origins)
     marked = {mark: getattr(fit, mark) for mark in MARKS}
     remarks = [", ".join(MARKS[mark] for mark, names in marked.items() if name in names) for name in fit.names]
     both = list(map(Estimate, estimate, sd))
@@ -205,19 +204,6 @@ def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
         fields = {key: getattr(prior, key) for key in ("family", "location", "scale", "source")}
         rows[parameter.name]["prior"] = fields | {"default": not prior.by_card} if flown.setting.priors else None
     return rows
-
-
-def prior_text(prior: Prior | None) -> str:
-    if prior is None:
-        return "none"
-    location, scale, end = (number(x, 4) for x in (prior.location, prior.scale, prior.location + prior.scale))
-    text = {
-        "normal": f"{location} ± {scale}",
-        "lognormal": f"{location} × e^±{scale}",
-        "halfnormal": f"{location} + |{scale}|",
-        "uniform": f"{location} to {end}",
-    }[prior.family]
-    return f"{text}, {'card' if prior.by_card else 'default'}"
 
 
 def _fit(e: Estimate) -> str:
@@ -278,7 +264,7 @@ def mode_table(motion: Motion) -> Table:
     columns = [
         Column(names, "", "mode"),
         Column(quantities, "", "quantity"),
-        Column(values, "", "value", form=in_brackets),
+        Column(values, "", "value"),
     ]
     return table("modes", columns, equations=linear if math.isnan(motion.airspeed) else about, estimates=of)
 

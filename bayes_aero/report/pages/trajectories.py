@@ -28,7 +28,7 @@ from bayes_aero.report.phrases import (
     symbol,
 )
 from bayes_aero.report.plots import MODELS, Panel, output_panels
-from bayes_aero.report.table import BeforeAfter, Column, Estimate, Table, in_brackets, parameter_columns, table
+from bayes_aero.report.table import BeforeAfter, Column, Estimate, Table, parameter_columns, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -321,7 +321,7 @@ def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
         files = tuple(f"{key}_{part}" for part in ("mean", "sd", "low", "high"))
         interval = [" to ".join(number(end, 3) for end in m.ci95) for m in rows]
         columns += [
-            Column([Estimate.of(m) for m in rows], files, "mean", form=in_brackets, group=label),
+            Column([Estimate.of(m) for m in rows], files, "mean", group=label),
             Column(interval, page="95 % interval", group=label),
             Column([m.ess for m in rows], f"{key}_ess", "ESS", form=".0f", group=label),
             Column([m.rhat for m in rows], f"{key}_rhat", "R-hat", form=".3f", group=label),
@@ -339,18 +339,16 @@ def one_step_table(predictions: OneStep, units: Mapping[str, str]) -> Table:
     columns = [
         Column(labels, "", "output"),
         Column(rms, "", "RMS", form=lambda x: short(x) if x >= 1e-4 else number(x, 2)),
-        Column([Estimate(*p.ratio) for p in every], "", "e/sd", form=in_brackets),
+        Column([Estimate(*p.ratio) for p in every], "", "e/sd"),
     ]
     for k, share in enumerate(predictions.together.shares):
-        inside, head = [Estimate(p.shares[k].share, p.shares[k].sd) for p in every], f"{100.0 * share.level:.0f} %"
-        columns.append(Column(inside, "", head, form=_per_cent, group="inside the interval, %"))
+        inside, head = (
+            [Estimate(100.0 * p.shares[k].share, 100.0 * p.shares[k].sd) for p in every],
+            f"{100.0 * share.level:.0f} %",
+        )
+        columns.append(Column(inside, "", head, group="inside the interval, %"))
     kinds = [p.calibration.value.replace("_", " ") for p in every]
     return table("one_step", [*columns, Column(kinds, "", "predictions")])
-
-
-def _per_cent(e: Estimate) -> str:
-    share, sd = 100.0 * e.centre, 100.0 * e.sd
-    return f"{share:.0f}({sd:.0f})" if sd >= 0.95 else f"{share:.1f}({10.0 * sd:.0f})"
 
 
 def process_noise_table(disturbed: ProcessNoise, flown: TrajectoryFit) -> Table:
@@ -360,8 +358,8 @@ def process_noise_table(disturbed: ProcessNoise, flown: TrajectoryFit) -> Table:
     theirs = [Estimate(*disturbed.estimates[p.name]) for p, _ in rows]
     columns = [
         *parameter_columns([p.name for p, _ in rows], [p.unit for p, _ in rows]),
-        Column([estimate for _, estimate in rows], "", "output error", form=in_brackets),
-        Column(theirs, "", "with process noise", form=in_brackets),
+        Column([estimate for _, estimate in rows], "", "output error"),
+        Column(theirs, "", "with process noise"),
     ]
     return table("process_noise", columns)
 
