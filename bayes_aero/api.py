@@ -347,7 +347,7 @@ class Diagnosed:
 
     @property
     def verdict(self) -> str:
-        """`no_effect`, `explained`, `partly_explained`, `unexplained` or `undecided`."""
+        """`no_effect`, `explained`, `partly_explained`, `unexplained`, `undecided` or `unreliable`."""
         return self.view.diagnosis.verdict.value
 
     @property

@@ -18,9 +18,11 @@ from bayes_aero.diagnosis.design import narrowed
 from bayes_aero.diagnosis.screening import CandidateScore, lag1_within, screen, uncertainty
 from bayes_aero.diagnosis.search import Search, SearchResult, lacking
 from bayes_aero.diagnosis.selection_state import DEFAULT, DiagnosisSettings, SelectionState, moved, refitted
-from bayes_aero.effect import Effect, Kind
+from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import unit_choices
+from bayes_aero.flight.health import other_units
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import nats, standard_error_of_sum
 from bayes_aero.inference.frequency import MIN_SHARE, cramer_rao, fit_in_band, without_noise_bias_in_band
@@ -65,12 +67,17 @@ def diagnose(
     # Offsets between manoeuvres are in the model beside the causes.
     hardly = stand_ins(candidates, stages, {u.coefficient for u in searched.unknown if not u.offsets})
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
+    effects = {e.name: e for e in searched.full.candidates}
+    beyond = tuple(replace(c, wrong=wrong_channel(c, effects[c.name], card)) for c in beyond)
+    causes = tuple(replace(c, beside_wrong=any(other.wrong for other in beyond)) for c in causes)
     unknown = (*searched.unknown, *structure_of(searched, (*unnamed, *beyond)))
     kept = tuple(name for name in kept_of[state.responses.stage] if name not in {c.name for c in beyond})
     causes, beyond = without_conditional(causes, beyond)
     pairs = [selection.cancelling(x, [c.name for c in causes if c.stage == stage]) for stage, x in stages.items()]
     of_sensors = searched.sensors.minor if searched.sensors else ()
-    same: dict[str, Any] = {n: getattr(searched, n) for n in ("noise", "not_testable", "sensors", "changes", "terms")}
+    same: dict[str, Any] = {
+        n: getattr(searched, n) for n in ("noise", "not_testable", "sensors", "changes", "terms", "unreliable")
+    }
     return result.Diagnosis(
         verdict=result.Verdict.UNDECIDED,
         causes=causes,
@@ -266,6 +273,7 @@ def judged_on_held_out_flights(
     return diagnosis.judged(causes=tuple(map(judged, diagnosis.causes)))
 
 
+SAME_UNIT = 0.05  # logarithm within which a factor is that of a unit: twice an estimate's and a sensor's own error
 NOTHING = (float("nan"), float("nan"))
 Pairs = dict[str, tuple[selection.LeftOut, selection.LeftOut]]  # hold-out data without and with each cause
 NO_GAIN = result.Gain(*NOTHING, "not measured", {}, {})
@@ -355,6 +363,19 @@ def attributed(
 
     beyond, rest = tuple(c for c in causes if c.implausible), [c for c in causes if not c.implausible]
     return tuple(filter(named, rest)), beyond, tuple(c for c in rest if not named(c))
+
+
+def wrong_channel(cause: result.Cause, effect: Effect, card: Card) -> result.WrongChannel | None:
+    """The channel that a cause larger than any error of its sensor scales as a whole."""
+    if effect.stage is not Stage.CHANNEL or not effect.name.endswith("_scale"):
+        return None
+    main, values = effect.channels[0], {name: size.mean for name, size in cause.parameters.items()}
+    made = effect.increments(values, {name: np.ones(1) for name in effect.channels}, card.aircraft, {})
+    times = float(1.0 / (1.0 + made[main][0]))
+    names = tuple(c.name for c in card.channels if c.name in (main, f"{main}_left", f"{main}_right")) or (main,)
+    units = other_units(card, names[0], unit_choices(names[0]))
+    unit = next((unit for unit, factor in units if abs(math.log(factor * times)) < SAME_UNIT), "")
+    return result.WrongChannel(names, times, unit)
 
 
 def stand_ins(

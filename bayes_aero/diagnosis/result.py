@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health import Consistency, HealthFinding
+from bayes_aero.flight.health import Consistency, Departure, HealthFinding
 from bayes_aero.flight.reading import RecordReport
 from bayes_aero.inference.results import COLOURED_INNOVATIONS, FrequencyFit, FrequencyResponse, OneStep, Scores, Stall
 from bayes_aero.parameter import Parameter, Prior
@@ -32,6 +32,7 @@ class Verdict(StrEnum):
     PARTLY_EXPLAINED = "partly_explained"
     UNEXPLAINED = "unexplained"
     UNDECIDED = "undecided"  # air may be disturbed, or a parameter of a control at rest have taken up an effect
+    UNRELIABLE = "unreliable"  # sensors contradict each other by more than a simulation may be off
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,14 @@ class Gain:
     before: Mapping[str, Scores]  # of each coefficient: card's model
     after: Mapping[str, Scores]  # with all so far
     degraded: Mapping[str, Value] = field(default_factory=dict)  # gain of outputs predicted worse, beyond noise
+
+
+class WrongChannel(NamedTuple):
+    """Channels that were recorded so many times too large, as if they were in `unit` (empty: in none that is known)."""
+
+    channels: tuple[str, ...]
+    times: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -68,6 +77,8 @@ class Cause:
     own_share: float = float("nan")  # of what it does, what no other free parameter can do as well
     rival_gains: Mapping[str, Value] = field(default_factory=dict)  # hold-out log density of rivals in its place
     joint: Mapping[str, float] = field(default_factory=dict)  # correlated causes: neither size holds without the other
+    wrong: WrongChannel | None = None  # where its size is that of a channel in another unit, or off by a factor
+    beside_wrong: bool = False  # whether it was sought beside such a channel
 
     @property
     def bounded(self) -> tuple[str, ...]:
@@ -86,7 +97,7 @@ class Cause:
     @property
     def sure(self) -> bool:
         """Whether the verdict may rest on it: confirmed, likelier than not, and of a size that aircraft have."""
-        return self.confirmed and self.likely and not self.bounded and not self.implausible
+        return self.confirmed and self.likely and not (self.bounded or self.implausible or self.beside_wrong)
 
 
 @dataclass(frozen=True)
@@ -183,10 +194,12 @@ class Diagnosis:
     changes: tuple[ParameterChange, ...] = ()  # parameters that take another value during the records
     terms: tuple[FoundTerm, ...] = ()  # forms of the structure that no effect of the catalogue explains
     absorbed: tuple[Absorbed, ...] = ()  # parameters of controls at rest, and effects that they may have taken up
+    unreliable: tuple[Departure, ...] = ()  # of sensors, by more than a simulation may be off: no effect was sought
 
     def judged(self, **changes: Any) -> Diagnosis:
         d = replace(self, **changes)
-        return replace(d, verdict=verdict_of(d.causes, d.left, d.tested, d.noise, d.absorbed))
+        found = verdict_of(d.causes, d.left, d.tested, d.noise, d.absorbed)
+        return replace(d, verdict=Verdict.UNRELIABLE if d.unreliable else found)
 
     @property
     def by_coefficients(self) -> bool:

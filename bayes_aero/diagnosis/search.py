@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis import selection, selection_state
 from bayes_aero.diagnosis.components import has_chunks, offsets_left
-from bayes_aero.diagnosis.consistency import check_sensors, widened
+from bayes_aero.diagnosis.consistency import check_sensors, consistency, errors_of_path, widened
 from bayes_aero.diagnosis.result import FLIGHT_PATH, FoundTerm, NoiseReport, ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening import lag1_within, screen
 from bayes_aero.diagnosis.selection import Extension
@@ -24,6 +24,7 @@ from bayes_aero.dynamics.segments import segments
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import Departure
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import nats
 from bayes_aero.inference.mle import fit_mle
@@ -56,6 +57,7 @@ class SearchResult:
     changes: tuple[ParameterChange, ...]
     terms: tuple[FoundTerm, ...]
     forms: Mapping[str, tuple[str, float]]  # as good as a cause; see `Forms.rivals`
+    unreliable: tuple[Departure, ...]  # of sensors: no effect was sought
 
     @property
     def testable_now(self) -> bool:
@@ -110,6 +112,14 @@ class Search:
     seed: int
     progress: Progress = quiet
 
+    def contradiction(self, sensors: Extension | None) -> tuple[Departure, ...]:
+        """Where sensors, known errors taken out, contradict each other by more than a simulation may be off."""
+        if self.settings.anyway:
+            return ()
+        errors = None if sensors is None else errors_of_path(sensors)
+        report = consistency(self.records, self.card, seed=self.seed, errors=errors)
+        return report.beyond({name: tolerance.value for name, tolerance in self.card.tolerances.items()})
+
     def coefficients(self) -> SearchResult:
         """Where coefficients can be formed."""
         flights, outliers = despiked(join(self.records, self.card, required_of(self.model.axes)))
@@ -117,12 +127,15 @@ class Search:
         mle = fit_mle(self.model, observe(self.records, self.card, self.model), seed=self.seed)
         theta = full.vector(dict(zip(mle.names, mle.estimate, strict=True)))
         responses = EquationError.of(flights, full.model)
-        sensors, model, denied = search_in_stages(full, responses, theta, seed=self.seed, progress=self.progress)
+        stages = partial(search_in_stages, full, responses, theta, seed=self.seed, progress=self.progress)
+        sensors, model, denied, unreliable = stages(self.contradiction)
         left, failures = attempted(
-            "Unexplained structure was not sought", lambda: unexplained(model, seed=self.seed + 2000), Left()
-        )
+            "Unexplained structure was not sought",
+            lambda: Left() if unreliable else unexplained(model, seed=self.seed + 2000), Left(),
+        )  # fmt: skip
         sought, none = partial(forms_of, model, left, seed=self.seed + 3000), Forms((), (), unknown=left.unknown)
-        forms, failed = attempted("The form of unexplained structure was not sought", sought, none)
+        what = "The form of unexplained structure was not sought"
+        forms, failed = (none, ()) if unreliable else attempted(what, sought, none)
         notes = []
         if filtered := selection.filtered_channels(flights):
             notes.append(
@@ -137,7 +150,8 @@ class Search:
             for name in denied
         ]
         extensions = sensors, withdrawn(model, (*left.replaced, *forms.replaced), forms.sizes)
-        return self._result(full, extensions, forms, outliers, notes, (*failures, *failed), left.changes)
+        found = self._result(full, extensions, forms, outliers, notes, (*failures, *failed), left.changes)
+        return replace(found, unreliable=unreliable)
 
     def _result(
         self,
@@ -153,11 +167,12 @@ class Search:
         model = list(stages.values())[-1]
         unknown, noise = (*forms.unknown, *offsets_found(model, forms.idle)), noise_report(model, outliers)
         about = tuple(notes), tuple(failures), changes, forms.terms, forms.rivals
-        return SearchResult(full, stages, unknown, noise, *about)
+        return SearchResult(full, stages, unknown, noise, *about, ())
 
     def innovations(self) -> SearchResult:
         """What a filter does not foresee: a gust moves vane and accelerometers together, as no error of a sensor."""
         self.progress("process noise", 0.0)
+        unreliable = self.contradiction(None)
         flights, outliers = despiked(join(self.records, self.card, FLIGHT))
         base = aircraft_dynamics(self.model, flights)
         # A start is enough. Gusts move a flight away from its simulation by less the shorter that is.
@@ -178,7 +193,8 @@ class Search:
                 self.progress("process noise", 0.0)
                 state, filtered = filtered_state(full, base, flights, fit.R, values, active, filtered)
                 state = selection_state.moved(state, state.theta, apart=apart)
-                room, seed = min(1, self.settings.max_effects - len(active)), self.seed + len(active)
+                room = 0 if unreliable else min(1, self.settings.max_effects - len(active))
+                seed = self.seed + len(active)
                 added = selection.selected(state, seed=seed, most=room, progress=self.progress, barred=barred)
                 first, steps, chosen = first or added, (*steps, *added.steps), added.state.active
                 # An addition that another has replaced ends the search: the two would replace each other for ever.
@@ -192,7 +208,9 @@ class Search:
         notes = [ONLY_TERMS]
         if status is not PredictionErrorStatus.CONVERGED:
             notes.append(f"Process noise: {status.value}.")
-        return self._with_terms(extension, flights, outliers, notes)
+        return replace(
+            self._with_terms(extension, flights, outliers, notes, seek=not unreliable), unreliable=unreliable
+        )
 
     def trajectories(self) -> SearchResult:
         """In airspeed, flow angles, attitude, rates and altitude, where no accelerometer gives the coefficients."""
@@ -229,10 +247,13 @@ class Search:
         outliers: Mapping[str, int],
         notes: list[str],
         failures: Sequence[str] = (),
+        *,
+        seek: bool = True,
     ) -> SearchResult:
         """The result of a search in trajectories or innovations, with terms of the library for what is left."""
         sought, none = partial(flown_forms, extension, seed=self.seed + 3000, progress=self.progress), Forms((), ())
-        forms, failed = attempted("The form of what the catalogue does not explain was not sought", sought, none)
+        what = "The form of what the catalogue does not explain was not sought"
+        forms, failed = attempted(what, sought, none) if seek else (none, ())
         if still := taken_as_zero(flights):
             notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
         extension = withdrawn(extension, forms.replaced, forms.sizes)
@@ -245,28 +266,37 @@ class Search:
 
 
 def search_in_stages(
-    full: CandidateModel, responses: EquationError, theta: Float[np.ndarray, " k"], *, seed: int, progress: Progress
-) -> tuple[Extension | None, Extension, tuple[str, ...]]:
-    """The flight path first, where it was recorded; the coefficients with sensors corrected; then what these deny."""
+    full: CandidateModel,
+    responses: EquationError,
+    theta: Float[np.ndarray, " k"],
+    contradiction: Callable[[Extension], tuple[Departure, ...]] = lambda _: (),
+    *,
+    seed: int,
+    progress: Progress,
+) -> tuple[Extension | None, Extension, tuple[str, ...], tuple[Departure, ...]]:
+    """The flight path first, where it was recorded; the coefficients with sensors corrected; then what these deny. None
+    are sought where there is a `contradiction` of the sensors."""
 
-    def coefficients(sensors: Extension | None) -> Extension:
+    def coefficients(sensors: Extension | None, most: int | None = None) -> Extension:
         progress("coefficients", 0.0)
         begin = theta
         if sensors is not None:
             off = (*sensors.state.full.base, *selection.without_hold(sensors))
             begin = sensors.state.full.at_neutral(sensors.state.theta, off)
         state = selection_state.linearised(_after(full, sensors), responses, responses.model.coefficients, begin)
-        extension = selection.plausible_selection(state, seed=seed + 1000, progress=progress)
-        if left := offsets_left(extension.state, seed=seed + 1500):
+        extension = selection.plausible_selection(state, seed=seed + 1000, progress=progress, most=most)
+        if most is None and (left := offsets_left(extension.state, seed=seed + 1500)):
             state = selection_state.moved(state, begin, apart=(*extension.state.apart, *left))
             extension = selection.plausible_selection(state, seed=seed + 1000, progress=progress)
         return extension
 
     path = FlightPathError.of(responses.flights, responses.model)
     if not path.outputs:
-        return None, coefficients(None), ()
+        return None, coefficients(None), (), ()
     progress("sensors", 0.0)
     sensors = check_sensors(full, path, theta, seed=seed)
+    if unreliable := contradiction(sensors):
+        return sensors, coefficients(sensors, most=0), (), unreliable
     aerodynamics, denied = coefficients(sensors), list[str]()
     while (name := _denied(sensors, aerodynamics)) is not None:
         fewer = widened(sensors, selection_state.refitted(selection.removed(sensors.state, name)))
@@ -287,7 +317,7 @@ def search_in_stages(
             other = coefficients(again)
             if selection.nats_gained(aerodynamics, other) > -full.settings.decisive:
                 sensors, aerodynamics = again, other
-    return sensors, aerodynamics, tuple(denied)
+    return sensors, aerodynamics, tuple(denied), ()
 
 
 def _after(full: CandidateModel, sensors: Extension | None) -> CandidateModel:

@@ -45,6 +45,7 @@ class DiagnosisSettings:
     max_effects: int = 8  # effects that each stage may add
     process_noise: bool | None = None  # compare the model with innovations; None: in gusts
     gains: bool = True  # fit the causes again to left-out data
+    anyway: bool = False  # seek effects also where sensors contradict each other by more than a simulation may be off
 
     # Screening: every candidate's score against noise-only replicates.
     replicates: int = 200  # noise-only replicates behind every p-value: it is 0.005 at the least

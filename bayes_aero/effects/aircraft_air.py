@@ -68,7 +68,7 @@ LATERAL_CG_SHIFT = effect("lateral_cg_shift",
 THRUST_SCALE = effect("thrust_scale", "The engines deliver more or less thrust than the record says.",
     "True thrust = (1 + thrust_scale) computed thrust, of the left and the right engine too where recorded.",
     lambda v, s, *_: {name: v["thrust_scale"] * s[name] for name in THRUSTS if name in s},
-    parameter("thrust_scale", "1", "relative error of the computed thrust", 0.15, (0.02, 0.3), (-0.9, 2.0)),
+    parameter("thrust_scale", "1", "relative error of the computed thrust", 0.15, (0.02, 0.3), (-0.95, 9.0)),
     example=Example({"thrust_scale": -0.1}, {"thrust": 12000.0}, {"thrust": -1200.0}, "-10 % of 12000 N, by hand"),
     source=RELATIVE_ERROR, kind=Kind.PROPULSION, stage=Stage.CHANNEL)
 

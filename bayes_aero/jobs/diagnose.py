@@ -96,9 +96,11 @@ def diagnose_records(
         writable(out)
     kept = ResultStore(card, records, out, provenance(card, records, options.seed, options.settings, options))
     progress("do the sensors agree?", 0.0)
-    settings = DiagnosisSettings(max_effects=options.max_effects, process_noise=options.process_noise)
+    settings = DiagnosisSettings(**picked(options, "max_effects", "process_noise", "anyway"))
     diagnosis = diagnose(records, card, settings=settings, seed=options.seed, progress=progress)
     options = replace(options, test_points=options.test_points and diagnosis.by_coefficients)
+    if diagnosis.unreliable:
+        options = replace(options, test_points=False, trajectories=False)
     errors = errors_of_diagnosis(diagnosis) if diagnosis.by_coefficients else None
     checks = record_checks(records, card, options.seed, out, errors=errors)
     view = view_of(replace(diagnosis, following=only_following(checks.health)))

@@ -778,8 +778,9 @@ class DiagnosisDocument(Part, kw_only=True):
     # partly_explained: sure causes, and structure without one, or a parameter that changes. unexplained: these without
     # a sure cause. undecided: no cause is significant, but the derivative of a control at rest may have taken up an
     # effect (see absorbed and test_points), or, from trajectories alone, errors beyond the sensors' noise remain, which
-    # disturbed air leaves as well (see tested); these forbid explained.
-    verdict: Literal["no_effect", "explained", "partly_explained", "unexplained", "undecided"]
+    # disturbed air leaves as well (see tested); these forbid explained. unreliable: sensors contradict each other by
+    # more than the tolerances of a simulation; no effect was sought (--anyway does).
+    verdict: Literal["no_effect", "explained", "partly_explained", "unexplained", "undecided", "unreliable"]
     tested: TestedPart
     sentences: list[str]  # the findings as printed
     causes: list[CausePart]  # in the order found: sensors on the flight path first, then the coefficients

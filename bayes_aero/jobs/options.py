@@ -100,13 +100,14 @@ class IdentifyOptions(Options):
 class DiagnoseOptions(Options):
     """What a diagnosis may be told; each option says what it is."""
 
-    SETTINGS = ("max_effects", "process_noise")
+    SETTINGS = ("max_effects", "process_noise", "anyway")
     seed: int = _seed()
     max_effects: int = option(8, "Effects that each stage may add to the model.", min=1)
     test_points: bool = option(True, "Propose manoeuvres that decide what is open; fit causes in a band.")
     trajectories: bool = option(True, "Simulate the card's and the extended model with the recorded inputs.")
     figures: bool = option(True, "Draw the figures.")
     process_noise: bool | None = option(None, "Estimate gusts, search in innovations; default: if there are gusts.")
+    anyway: bool = option(False, "Go on where sensors contradict each other beyond the tolerances.", flag=True)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.selection import filtered_channels, recording_noise
 from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.health import Agreement, Consistency, noise_of
+from bayes_aero.flight.health import Agreement, Consistency, Departure, PathCheck, noise_of
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import filter_mismatch_notes, fit_mle
@@ -29,6 +29,7 @@ from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Forming
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth
 from bayes_aero.physics.kinematics import LATERAL, PATH, Rotation, integral, lever_arm, path_rates, side_force
+from bayes_aero.report.pages.diagnosis import sentences
 from bayes_aero.report.pages.estimates import verdict
 from bayes_aero.report.pages.parts import consistency_sentences, open_sentences
 from bayes_aero.residuals.base import FlightPathError
@@ -104,6 +105,32 @@ def test_faults_disagree_and_the_channel_is_named(sound, card, name):
         begin, end = sound.time[900], sound.time[1100]
         there = [d for d in checked.departures if d.channel == "alpha"]
         assert any(d.begin < end and begin < d.end and d.end - d.begin < 40.0 for d in there)
+
+
+def test_departures_are_beyond_repair_where_no_error_explains_them_and_a_simulation_may_be_off_by_less():
+    left = tuple(Departure("a", channel, 0.0, 9.0, rms, 0.1) for channel, rms in (("theta", 0.05), ("airspeed", 1.4)))
+    checked = Consistency(recorded=(PathCheck("a", left, {}, 0.0, 0.0),))
+    tolerances = {"theta": np.radians(2.0), "airspeed": 1.5}
+    assert [d.channel for d in checked.beyond(tolerances)] == ["theta"]
+    explained = replace(checked, corrected=(PathCheck("a", (), {}, 0.0, 0.0),))
+    assert (explained.agreement, explained.beyond(tolerances)) == (Agreement.EXPLAINED, ())
+
+
+def test_no_effect_is_sought_where_sensors_contradict_each_other_beyond_the_tolerances_unless_asked_for(card):
+    """The attitude of two seconds before; and a thrust arm in the coefficients, which do not read the attitude."""
+    hidden = hidden_records({"thrust_moment": {"thrust_arm": 0.8}}, seed=42, noise="ar1", seconds=60.0)
+    records = [changed(r, theta=np.roll(r["theta"], 50)) for r in hidden]
+    settings = DiagnosisSettings(gains=False, process_noise=False)
+    found = diagnose(records, card, settings=settings)
+    assert found.verdict == "unreliable"
+    assert "theta" in {d.channel for d in found.unreliable}
+    assert all(d.rms > card.tolerances[d.channel].value for d in found.unreliable)
+    assert not [c.name for c in found.causes if c.stage != "flight path"]
+    assert (found.unknown, found.terms, found.changes) == ((), (), ())
+    assert sentences(found)[0].severity == "error"
+    anyway = diagnose(records, card, settings=replace(settings, anyway=True))
+    assert anyway.unreliable == ()
+    assert "thrust_moment" in {c.name for c in anyway.causes}
 
 
 @pytest.mark.parametrize(("lost", "agreement"), [("altitude", Agreement.AGREE), ("theta", Agreement.NOT_CHECKED)])

@@ -357,3 +357,8 @@ class Consistency:
         """Where records depart from their flight path; if errors explain that in part, where they still do."""
         left = tuple(d for check in self.corrected for d in check.departures)
         return left or tuple(d for check in self.recorded for d in check.departures)
+
+    def beyond(self, tolerances: Mapping[str, float]) -> tuple[Departure, ...]:
+        """Departures that no known error explains and that are larger than a simulation may be off (SI, by channel)."""
+        unexplained = self.departures if self.agreement is Agreement.UNEXPLAINED else ()
+        return tuple(d for d in unexplained if d.rms > tolerances.get(d.channel, np.inf))

@@ -44,6 +44,7 @@ from bayes_aero.report.phrases import (
 from bayes_aero.report.plots import MODELS, Panel
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
 from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, or_dash, table
+from bayes_aero.units import number
 
 if TYPE_CHECKING:
     from bayes_aero.diagnosis.result import (
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
         Tested,
         Trajectories,
         View,
+        WrongChannel,
     )
     from bayes_aero.flight.card import Card
     from bayes_aero.flight.record import FlightRecord
@@ -99,14 +101,21 @@ def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[
 
 
 def _beyond(d: Diagnosis) -> list[str]:
-    """What is left out of the model: larger than on any aircraft, then what was estimated together with that."""
-    large, joint = [], []
-    for c, (name, x) in [(cause, item) for cause in d.beyond for item in cause.parameters.items()]:
+    """What is left out of the model: channels that are wrong as a whole, what is larger than on any aircraft, then what
+    was estimated together with that."""
+    large, joint = [_whole_channel(c.name, c.wrong) for c in d.beyond if c.wrong], []
+    for c, (name, x) in ((cause, item) for cause in d.beyond if not cause.wrong for item in cause.parameters.items()):
         about = {"name": name, "x": x, "size": (x.mean, x.sd)}
         limits = {n: (c.implausible[n], 0.0) for n in (name, f"1/{name}") if n in c.implausible}
         large += [sentence("too_large", **about, large=n, most=most) for n, most in limits.items()]
         joint += [] if c.implausible else [sentence("not_alone", **about, joint=parts.joint_text(c.joint))]
     return large + joint
+
+
+def _whole_channel(name: str, w: WrongChannel) -> str:
+    way, size = ("large", w.times) if w.times > 1.0 else ("small", 1.0 / w.times)
+    looks = f", as if in {w.unit}" if w.unit else ""
+    return sentence("whole_channel", name=name, w=w, size=number(size), way=way, looks=looks)
 
 
 def _size(x: Size) -> str:
@@ -274,7 +283,9 @@ def _unsure(d: Diagnosis) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for cause in (c for c in d.causes if not c.sure):
         why = "named, but no more probable than its rivals"
-        if cause.bounded:
+        if cause.beside_wrong:
+            why = "sought beside a channel that is wrong as a whole"
+        elif cause.bounded:
             why = "at a parameter bound: suspect another cause"
         elif cause.implausible:
             why = "larger than on any aircraft: suspect another cause"
@@ -293,15 +304,15 @@ def diagnosis_screen(result: Outcome, card: Card, records: Sequence[FlightRecord
     record, mend = parts.record_block(records, result.health, result.consistency, corrects=d.by_coefficients)
     stages = {name: effect.stage for name, effect in CATALOGUE.items()}  # sensors, aircraft, then the model
     sure = sorted((c for c in d.causes if c.sure), key=lambda c: stages.get(c.name, math.inf))
-    gain = "" if flown is None else simulation_gain(flown)
-    shown = [verdict_sentence(d), *([sure_table(sure)] if sure else []), *([gain] if gain else [])]
+    gain, answer = "" if flown is None else simulation_gain(flown), verdict_sentence(d)
+    shown = [getattr(answer, "claim", answer), *([sure_table(sure)] if sure else []), *([gain] if gain else [])]
     shown += revealed(result.hidden, result.named) if result.hidden else []
     listed = findings(d, flown)
     messages = doubts_of(text for kind, texts in listed.items() if kind != "verdict" for text in texts)
     doubts = [*result.failures, *claims(messages), *d.notes, *result.notes]
     steps = [*mend, *actions([*_taken_over(d), *messages]), *points_sentences(result.test_points)[:1]]
-    fly = sentence("next_fly", given=parts.given(records, card))
-    return Screen(record, shown, doubts, list(dict.fromkeys([*steps, fly])))
+    then = sentence("next_anyway" if d.unreliable else "next_fly", given=parts.given(records, card))
+    return Screen(record, shown, doubts, list(dict.fromkeys([*steps, then])))
 
 
 def sure_table(causes: Sequence[Cause]) -> Table:
