@@ -165,7 +165,6 @@ class MleResult(Estimates):
 # --- Restraints on estimates: priors that the data contradict, and active bounds.
 
 CONFLICT_LIMIT = 3.0  # combined standard errors between prior and likelihood, beyond which a conflict is named
-SENSITIVITY_LIMIT = 0.05  # distance per log2 of the power from which a posterior depends on the scaled part (the paper)
 MIN_SHIFT = 1.0  # corrected standard errors; smaller changes of other estimates by a bound are not reported
 
 

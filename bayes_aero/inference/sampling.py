@@ -26,7 +26,6 @@ from scipy import optimize
 from scipy.stats import binom, norm
 
 from bayes_aero.inference.results import (
-    SENSITIVITY_LIMIT,
     Histogram,
     Identification,
     Marginal,
@@ -550,19 +549,11 @@ def neighbours(values: Float[np.ndarray, " n"], start: Bool[np.ndarray, " n"]) -
 # importance weights, without sampling again.
 
 PRIOR_SENSITIVITY_DRAWS = 4000
-
-
-class Dependence(Enum):
-    """Whether the data or the prior decide a parameter; the value is the text for the user."""
-
-    DATA = "the data decide"
-    BOTH = "prior and data conflict, or the prior is informative compared with the data"
-    PRIOR = "the prior decides; the record contains little information on this parameter"
-    NEITHER = "neither changes it: check its chains"
+SENSITIVITY_LIMIT = 0.05  # distance per log2 of the power from which a posterior depends on the scaled part (the paper)
 
 
 def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame:
-    """A row per parameter: sensitivity to the prior, to the likelihood, and the conclusion (`Dependence`)."""
+    """A row per parameter: sensitivity to the prior and to the likelihood, and whether it leans on the prior."""
     # All priors are scaled together. `posterior` is one of `density`. The Monte Carlo error of the sensitivities is
     # about 0.01 for some thousand draws.
     tree = posterior.tree["posterior"].to_dataset()
@@ -574,11 +565,8 @@ def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame
     both = azb.from_dict(groups)
     sensitivity = {part: azs.psense(both, group=part) for part in ("prior", "likelihood")}
     rows = {name: {part: float(sensitivity[part][name]) for part in sensitivity} for name in density.names}
-    table = pd.DataFrame.from_dict(rows, orient="index")
-    by = {(False, True): Dependence.DATA, (True, True): Dependence.BOTH, (True, False): Dependence.PRIOR}
-    decided = (tuple(row >= SENSITIVITY_LIMIT) for row in table.to_numpy())
-    table["says"] = [by.get(row, Dependence.NEITHER).value for row in decided]
-    return table
+    leaning = {name: row | {"leans": row["prior"] >= SENSITIVITY_LIMIT} for name, row in rows.items()}
+    return pd.DataFrame.from_dict(leaning, orient="index")
 
 
 @eqx.filter_jit

@@ -12,22 +12,7 @@ import xarray as xr
 from msgspec import UNSET
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.diagnosis.result import (
-    COEFFICIENTS,
-    Cause,
-    CausesInBand,
-    Diagnosis,
-    DiagnosisView,
-    Disagreement,
-    FoundTerm,
-    Motion,
-    ProcessNoise,
-    SimulatedManoeuvre,
-    Tested,
-    Trajectories,
-    TrajectoryFit,
-    View,
-)
+from bayes_aero.diagnosis import result
 from bayes_aero.errors import failure, plain_line
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -61,7 +46,7 @@ Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated reco
 
 @dataclass(frozen=True)
 class Outcome:
-    view: DiagnosisView
+    view: result.DiagnosisView
     hidden: Hidden | None = None
     named: Mapping[str, str] = field(default_factory=dict)  # each hidden effect: first, named, ambiguous, minor, missed
     notes: tuple[str, ...] = ()
@@ -69,10 +54,10 @@ class Outcome:
     consistency: Consistency | None = None
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly
     test_points: Mapping[str, Any] = field(default_factory=dict)  # the manoeuvres that decide all that is open
-    in_band: CausesInBand | None = None  # sizes of the causes in a band of frequencies
+    in_band: result.CausesInBand | None = None  # sizes of the causes in a band of frequencies
 
     @property
-    def diagnosis(self) -> Diagnosis:
+    def diagnosis(self) -> result.Diagnosis:
         return self.view.diagnosis
 
 
@@ -81,7 +66,7 @@ def diagnosis_results(
 ) -> parts.DiagnosisDocument:
     """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
     view, d = outcome.view, outcome.diagnosis
-    seen = view if isinstance(view, View) else None  # coefficients; else only trajectories were compared
+    seen = view if isinstance(view, result.View) else None  # coefficients; else only trajectories were compared
     named = {(c.stage, c.name) for c in d.causes}
     models = {} if seen is None else {"before": seen.card, "after": seen.extended}
     return parts.DiagnosisDocument.of(
@@ -115,15 +100,15 @@ def diagnosis_results(
     )
 
 
-def term_part(sized: FoundTerm) -> parts.TermPart:
+def term_part(sized: result.FoundTerm) -> parts.TermPart:
     term, others = sized.term, {term.name: weight for term, weight in sized.others}
     return parts.TermPart.of(sized, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
 
 
-def part_of_errors(tested: Tested | None, compared: str) -> parts.TestedPart:
+def part_of_errors(tested: result.Tested | None, compared: str) -> parts.TestedPart:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
-        return parts.TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
+        return parts.TestedPart.of((compared, compared == result.COEFFICIENTS, None, {}))
     outputs = {n: parts.TestedOutput.of(output, unit=UNITS[n]) for n, output in tested.outputs.items()}
     return parts.TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
 
@@ -140,7 +125,7 @@ def record_parts(records: Sequence[FlightRecord], card: Card) -> list[parts.Reco
     return rows
 
 
-def cause_part(cause: Cause) -> parts.CausePart:
+def cause_part(cause: result.Cause) -> parts.CausePart:
     gain, when = cause.gain, {"before": cause.gain.before, "after": cause.gain.after}
     scores = [(key, word, by) for key in ("r2", "rmse", "r", "theil") for word, by in when.items()]
     by_coefficient = {
@@ -154,7 +139,7 @@ def cause_part(cause: Cause) -> parts.CausePart:
 # --- Simulated trajectories.
 
 
-def trajectories_part(flown: Trajectories | None, card: Card) -> parts.TrajectoriesPart:
+def trajectories_part(flown: result.Trajectories | None, card: Card) -> parts.TrajectoriesPart:
     if flown is None:
         return parts.TrajectoriesPart()
     before, after, confirmed = flown.card, flown.extended, flown.asked
@@ -185,7 +170,9 @@ def stated_tolerances(card: Card, units: Mapping[str, str]) -> dict[str, parts.S
 
 
 def path_part(
-    kind: type[parts.ComparedPath | parts.FlownPath], path: SimulatedManoeuvre, units: Mapping[str, str] | None = None
+    kind: type[parts.ComparedPath | parts.FlownPath],
+    path: result.SimulatedManoeuvre,
+    units: Mapping[str, str] | None = None,
 ) -> Any:
     """One simulated manoeuvre; `units` of outputs (SI) for channels that the program does not know by name."""
     part = parts.ComparedOutput if kind is parts.ComparedPath else parts.PathOutput
@@ -198,7 +185,10 @@ def path_part(
 
 
 def results(
-    run: Identification, verdict: list[str], provenance: dict[str, Any], simulated: Sequence[SimulatedManoeuvre] = ()
+    run: Identification,
+    verdict: list[str],
+    provenance: dict[str, Any],
+    simulated: Sequence[result.SimulatedManoeuvre] = (),
 ) -> parts.IdentificationDocument:
     """A run as plain numbers and text, parts not yet computed absent; `simulated`: flown with the fitted values."""
     alone = {name: parts.AloneFit.of(fit, **_fit(fit)) for name, fit in run.alone.items()}
@@ -221,14 +211,14 @@ def results(
     )
 
 
-def _fit(result: MleResult) -> dict[str, Any]:
+def _fit(fit: MleResult) -> dict[str, Any]:
     return {
-        "status": result.status.name.lower(),
-        "advice": result.status.value,
-        "parameters": _estimates(result),
-        "inseparable": inseparable_parts(result.inseparable),
-        "strong_correlations": [parts.CorrelatedPart([a, b], value) for a, b, value in result.strong_correlations()],
-        "warnings": result.warnings(),
+        "status": fit.status.name.lower(),
+        "advice": fit.status.value,
+        "parameters": _estimates(fit),
+        "inseparable": inseparable_parts(fit.inseparable),
+        "strong_correlations": [parts.CorrelatedPart([a, b], value) for a, b, value in fit.strong_correlations()],
+        "warnings": fit.warnings(),
     }
 
 
@@ -330,16 +320,16 @@ class Flight:
     of motion of a fit that converged.
     """
 
-    flown: TrajectoryFit
+    flown: result.TrajectoryFit
     sentences: tuple[str, ...]
     notes: tuple[str, ...]
     health: tuple[HealthFinding, ...] = ()
     consistency: Consistency | None = None
     failures: tuple[str, ...] = ()
-    apart: tuple[Disagreement, ...] = ()
-    process_noise: ProcessNoise | None = None
+    apart: tuple[result.Disagreement, ...] = ()
+    process_noise: result.ProcessNoise | None = None
     posteriors: Mapping[str, Posterior] = field(default_factory=dict)
-    motion: Motion | None = None
+    motion: result.Motion | None = None
 
 
 def fly_results(
@@ -392,7 +382,7 @@ Histories = Mapping[str, xr.Dataset]
 """Groups of the file by name: manoeuvres end to end, `manoeuvre` the number of each sample's, from 1 as in `names`."""
 
 
-def diagnosed(view: View) -> Histories:
+def diagnosed(view: result.View) -> Histories:
     """Coefficients by both models: measured less what a model leaves, with errors of sensors that it knows; and X."""
     models = {"card": view.card, "extended": view.extended}
     columns = {}
@@ -410,10 +400,10 @@ def identified(run: Identification) -> Histories:
     return {"coefficients": _group(columns, o.names, o.manoeuvre, o.time)}
 
 
-def flights(paths: Iterable[SimulatedManoeuvre], units: Mapping[str, str] | None = None) -> Histories:
+def flights(paths: Iterable[result.SimulatedManoeuvre], units: Mapping[str, str] | None = None) -> Histories:
     """Outputs as measured and by each model, a group for each split; `units` (SI) of channels that are not standard."""
     si_units = units or UNITS
-    splits: dict[str, dict[str, dict[str, SimulatedManoeuvre]]] = {}
+    splits: dict[str, dict[str, dict[str, result.SimulatedManoeuvre]]] = {}
     for path in paths:
         splits.setdefault(path.split, {}).setdefault(path.manoeuvre, {})[path.model] = path
     groups = {}

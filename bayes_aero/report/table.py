@@ -178,7 +178,7 @@ def cell_text(value: Any, form: Form) -> str:
     if isinstance(value, BeforeAfter):
         return " → ".join(cell_text(part, form) for part in value)
     size = value.centre if isinstance(value, Estimate) else value
-    if size is None or (isinstance(size, float) and not math.isfinite(size)):
+    if size is None or size == "" or (isinstance(size, float) and not math.isfinite(size)):
         return NONE
     if callable(form):
         return form(value)
@@ -195,11 +195,6 @@ def with_error(e: Estimate) -> str:
 def columns_of(rows: Sequence[Any]) -> Callable[..., Column]:
     """What makes a `Column` of a function, which gets the value of a row, and the other arguments of `Column`."""
     return lambda get, *heads, **how: Column([get(row) for row in rows], *heads, **how)
-
-
-def or_dash(text: str) -> str:
-    """Text, and a dash where there is none."""
-    return text or NONE
 
 
 def parameter_columns(names: Sequence[str], units: Sequence[str]) -> list[Column]:

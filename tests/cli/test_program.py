@@ -212,7 +212,7 @@ def test_same_seed_same_numbers(program, identified, monkeypatch):
 
 def test_diagnose_writes_and_tells_what_it_found(tmp_path, diagnosis_output):
     content = validated(tmp_path / "diagnosis" / "diagnosis.json", "diagnosis")
-    assert content["provenance"]["settings"] == {"max_effects": 2}
+    assert content["provenance"]["settings"] == {"max_effects": 2, "anyway": False}
     lacks = "The lateral axis (CY, Cl, Cn) is left out: record a has no channel ay"
     holds(" ".join(diagnosis_output.out.split()), lacks, *(cause["name"] for cause in content["causes"]))
     assert (tmp_path / "diagnosis" / "screen.csv").is_file()

@@ -133,6 +133,22 @@ def test_no_effect_is_sought_where_sensors_contradict_each_other_beyond_the_tole
     assert "thrust_moment" in {c.name for c in anyway.causes}
 
 
+@pytest.mark.parametrize(("times", "unit"), [(8.0, ""), (1.0 / 4.4482, "lbf")])
+def test_a_channel_in_another_unit_is_told_as_a_whole_and_nothing_beside_it_is_sure(card, times, unit):
+    """Thrust of both engines, as the record has it; a silent flight but for that."""
+    records = hidden_records({}, seed=11, noise="ar1", seconds=80.0)
+    engines = ("thrust_left", "thrust_right")
+    records = [changed(r, **{name: times * r[name] for name in engines}) for r in records]
+    found = diagnose(records, card, settings=DiagnosisSettings(gains=False, process_noise=False))
+    (wrong,) = [c.wrong for c in found.beyond if c.wrong]
+    assert (wrong.channels, wrong.unit) == (engines, unit)
+    assert wrong.times == pytest.approx(times, rel=0.05)
+    assert not any(c.sure for c in found.causes)
+    (said,) = [s for s in sentences(found) if getattr(s, "key", "") == "whole_channel"]
+    assert said.severity == "error"
+    assert unit in said
+
+
 @pytest.mark.parametrize(("lost", "agreement"), [("altitude", Agreement.AGREE), ("theta", Agreement.NOT_CHECKED)])
 def test_what_cannot_be_checked_is_said(sound, card, lost, agreement):
     without = FlightRecord.from_arrays("a", sound.time, {k: v for k, v in sound.channels.items() if k != lost})

@@ -50,11 +50,11 @@ def test_people_a_file_and_json_have_what_is_for_them(tmp_path):
     shown = two_rows.text()
     assert shown.head == ("parameter", "fit", "before", "after", "remark")
     assert shown.groups == (("", 2), ("share", 2), ("", 1))
-    assert shown.rows == (("a", "-0.391 ± 0.016", "25%", "50%", "only here"), ("b", "–", "–", "33%", ""))
+    assert shown.rows == (("a", "-0.391 ± 0.016", "25%", "50%", "only here"), ("b", "–", "–", "33%", "–"))
     assert (shown.caption, shown.note, shown.words) == ("A title", "A note", (4,))
     above, heads, _, *lines = [line.split() for line in printed(two_rows).splitlines()]
     assert (above, heads) == (["share"] * 2, ["parameter", "fit", "before", "after", "remark"])
-    assert lines == [["a", "-0.391", "±", "0.016", "25%", "50%", "only", "here"], ["b", "–", "–", "33%"]]
+    assert lines == [["a", "-0.391", "±", "0.016", "25%", "50%", "only", "here"], ["b", "–", "–", "33%", "–"]]
     assert two_rows.records()[0] == {"name": "a", "estimate": -0.39102, "sd": 0.0159, "low": -0.42, "count": 2}
     assert two_rows.records()[1]["sd"] is None
     back = pd.read_csv(write_csv(two_rows, tmp_path / "t.csv"), index_col="name")

@@ -181,11 +181,6 @@ def runs_of(equal: np.ndarray) -> list[tuple[int, int]]:
     return [(first, after - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def still_runs(x: np.ndarray) -> list[tuple[int, int]]:
-    """First and last sample of each run of two or more equal values."""
-    return [(first, last + 1) for first, last in runs_of(np.diff(x) == 0.0)]
-
-
 def longest(runs: Iterable[tuple[int, int]]) -> tuple[int, int]:
     return max(runs, key=lambda run: run[1] - run[0])
 

@@ -26,6 +26,7 @@ GRAVE = ("density", "airspeed", "altitude", "mach")  # what results rest on
 SENSORS: Limits = (0.10, 0.06)  # a departure that no weather and no sensor makes
 DAY: Limits = (0.30, 0.15)  # of the density that no weather makes at a pressure altitude (35 %, some 75 K)
 COLD: Limits = (0.15, 0.10)  # likewise, of the speed of sound at an altitude
+THRUST: Limits = (4.0, 2.5)  # of the largest thrust over a tenth of the weight: 50 times, and 12 times
 
 
 def _off(k: float, limits: Limits) -> bool:
@@ -84,6 +85,10 @@ def air_data(record: FlightRecord, card: Card) -> Findings:
     if {"density", "altitude"} <= view.keys() and len(view["density"]):
         yield from _density(record, card, view)
     mass, area = float(card.aircraft.mass), float(card.aircraft.wing_area)
+    engines = [n for n in ("thrust", "thrust_left", "thrust_right") if n in record.channels and n in view]
+    if engines and np.isfinite(mass):  # a tenth of the weight is that of cruise: near enough for a factor of a thousand
+        k = max(float(np.max(np.abs(view[n]))) for n in engines) / (0.1 * mass * GRAVITY)
+        yield from _Ratio(k, {engines[0]: 1}, "a tenth of the weight", THRUST).findings(record, card, ())
     if len(view.get("airspeed", ())) > 1 and "density" in view and np.isfinite(mass * area):
         rho, V = _middle(view["density"]), _middle(view["airspeed"])
         # The lift coefficient of level flight, which these make together.

@@ -98,7 +98,7 @@ def frozen(record: FlightRecord, card: Card) -> Findings:
                 ": the heading is dead, and the flight path is reconstructed without it",
                 "correct its column or label on the card, or take it off"), grave=False,
             )  # fmt: skip
-        runs = [run for run in health.still_runs(x) if (run[1] - run[0]) * record.dt >= SHORTEST]
+        runs = [(a, b + 1) for a, b in health.runs_of(np.diff(x) == 0.0) if (b + 1 - a) * record.dt >= SHORTEST]
         if np.ptp(x) == 0.0:
             if _must_move(record, name):
                 yield health.finding(

@@ -14,9 +14,9 @@ from scipy.optimize import fminbound
 
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import unit_choices
-from bayes_aero.flight.health import Findings, HealthFinding, channels_of, declared, finding, other_units
+from bayes_aero.flight.health import HealthFinding, channels_of, declared, finding, other_units
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.physics.aircraft import GRAVITY, Axis, standard_air
+from bayes_aero.physics.aircraft import GRAVITY, standard_air
 from bayes_aero.physics.kinematics import PATH_NEEDS, STRAIGHT, down_of, euler_rates, motion_over_ground
 
 # --- What each channel's rate of change must be (`physics.kinematics`), without aerodynamics; the distance of the
@@ -347,7 +347,7 @@ def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], Flig
     for reading, _ in faults:
         raw, view = reading.of(raw), reading.of(view)
     read = replace(record, channels={name: raw[name] for name in record.channels}) if faults else record
-    return [*(f for _, f in faults), *_bias(record, card, view, left)], read
+    return [f for _, f in faults], read
 
 
 def _chain(record: FlightRecord, card: Card, view: View, before: Misfits) -> tuple[list[Said], Misfits]:
@@ -493,28 +493,6 @@ def _strains(terms: dict[str, np.ndarray], odd: dict[str, np.ndarray], signs: np
         off = np.maximum(np.einsum("sk,kl,sl->s", of_terms, gram, of_terms), 0.0)
         strains.append(np.sqrt(off / (1.0 + SCALE**2 * np.trace(gram))))
     return np.stack(strains)
-
-
-def _bias(record: FlightRecord, card: Card, view: View, left: Misfits) -> Findings:
-    """The mean lateral acceleration that no other reading explains, unless the card states it or bank is in doubt."""
-    if left.get("side", 0.0) <= 1.0 or max(left.get(name, 0.0) for name in ("phi", "psi")) > 1.0:
-        return
-    terms = terms_of(view, {"side"})["side"]
-    if "accel_y_bias" in card.effects or abs(terms.sum()) < np.sqrt(1.0 + SCALE**2 * np.sum(terms**2)):
-        return  # stated there, or no more than errors of scale make in turns
-    # Beyond what bank, turn and sideslip make; zero where sideslip leaves it open.
-    off = MEANS["side"].allowed * float(_mean_terms("side", view, [rates_of(view)]).sum())
-    mean = float(np.mean(view["ay"]))
-    tilt = np.degrees(np.arcsin(min(abs(off) / GRAVITY, 1.0)))
-    yield finding(
-        record, "ay", "bias",
-        (f"ay is off by {off:+.2g} m/s^2 ({off / GRAVITY:+.2g} g) in the mean",
-        f": bank, turn and airspeed make {mean - off:+.2g} m/s^2, and {mean:+.2g} were recorded. It is a bias of the "
-        f"accelerometer, its tilt of {tilt:.2g} deg about the x axis, as much bias of the bank angle or, in a turn, a "
-        "factor of the airspeed",
-        "take it out in the file, or add the effect accel_y_bias with its value under fixed on the card"),
-        grave=Axis.LATERAL in card.axes,
-    )  # fmt: skip
 
 
 def _finding(

@@ -65,12 +65,6 @@ def part_sentences(record: RecordReport) -> list[str]:
     return [*sentences, sentence("give_parts")] if sentences else []
 
 
-def unused_columns(report: CheckReport) -> list[tuple[str, ...]]:
-    """Columns of each record that the card does not map; of records with the same ones, at the first of them."""
-    seen: set[tuple[str, ...]] = set()
-    return [() if r.unused in seen or seen.add(r.unused) else r.unused for r in report.records]
-
-
 def card_sentences(report: CheckReport) -> list[str]:
     card, units = report.card, {"thrust": "N"} | {name: c.unit for name, c in STANDARD_CHANNELS.items()}
     behind = {name: f" {units[name]}".removesuffix(" 1") if name in units else " in SI" for name in card.constants}
@@ -84,19 +78,6 @@ def card_sentences(report: CheckReport) -> list[str]:
         formula = " ".join(f"{sign} {factor}{part}" for sign, factor, part in factors).removeprefix("+ ")
         sentences.append(f"sum from the card: {name} = {formula}")
     return sentences
-
-
-def use_sentences(report: CheckReport) -> list[str]:
-    """Possible uses of the records, and effects that cannot be tested on them."""
-    uses = [f"{name}: {f'not possible, {why}' if why else 'possible'}" for name, why in report.uses.items()]
-    return [*report.left_out, *uses, *not_testable_sentences(report.not_testable)]
-
-
-def sensor_sentences(report: CheckReport) -> list[str]:
-    """Whether the sensors agree, and errors that are found although they are within the noise."""
-    slight = report.sensors.errors and not report.consistency.disagrees
-    within = ["Errors within this noise, which diagnose includes:"] if slight else []
-    return [*parts.consistency_sentences(report.consistency, corrects=False), *within]
 
 
 def left_over(report: CheckReport) -> str:
@@ -136,7 +117,9 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Report:
     wrong = [f"{r.path}: {p}" for r in report.records for p in r.problems]
     more, *plots = recorded(sound)
     faults, untestable = [*wrong, *report.cautions], parts.not_testable_list(report.not_testable)
-    uses = [*use_sentences(report), *(text for r in report.records for text in part_sentences(r))]
+    uses = [f"{name}: {f'not possible, {why}' if why else 'possible'}" for name, why in report.uses.items()]
+    uses = [*report.left_out, *uses, *not_testable_sentences(report.not_testable)]
+    uses += [text for r in report.records for text in part_sentences(r)]
     return Report(
         title=f"Record check: {report.card.title}",
         subtitle="Channels, units, sampling, and whether the sensors agree; no aerodynamics is fitted",
@@ -161,7 +144,9 @@ def recorded(records: Sequence[FlightRecord]) -> list[Any]:
 
 
 def _sensors(report: CheckReport) -> tuple[Any, ...]:
-    sentences, errors = sensor_sentences(report), report.sensors.errors
+    sentences, errors = parts.consistency_sentences(report.consistency, corrects=False), report.sensors.errors
+    if errors and not report.consistency.disagrees:
+        sentences.append("Errors within this noise, which diagnose includes:")
     if report.sensors.note:
         return (sentences,)
     faint = " (too small to be named)"
@@ -173,8 +158,10 @@ def _sensors(report: CheckReport) -> tuple[Any, ...]:
 
 
 def _channels(report: CheckReport) -> list[Any]:
-    tables = []
-    for r, columns in zip(report.records, unused_columns(report), strict=True):
+    tables, seen = [], list[tuple[str, ...]]()
+    for r in report.records:
+        columns = () if r.unused in seen else r.unused  # of records with the same ones, at the first of them
+        seen.append(r.unused)
         remarks = [f"On the card, not in the file (not required): {', '.join(r.missing)}."] if r.missing else []
         remarks += [f"In the file, not on the card: {', '.join(columns)}."] if columns else []
         tables.append(fold(r.path, channel_table(r), [*remarks, *r.remarks]))

@@ -43,24 +43,11 @@ from bayes_aero.report.phrases import (
 )
 from bayes_aero.report.plots import MODELS, Panel
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
-from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, or_dash, table
+from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, table
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.result import (
-        Cause,
-        CausesInBand,
-        Diagnosis,
-        DiagnosisView,
-        HoldoutScores,
-        ParameterChange,
-        Ranking,
-        Size,
-        Tested,
-        Trajectories,
-        View,
-        WrongChannel,
-    )
+    from bayes_aero.diagnosis import result
     from bayes_aero.flight.card import Card
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.jobs.results import Outcome
@@ -69,12 +56,12 @@ SHOWN = 4  # other terms that are named
 SEEN = 0.005  # change of R² that two digits show
 
 
-def sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
+def sentences(d: result.Diagnosis, flown: result.Trajectories | None = None) -> list[str]:
     """The findings, one sentence or two each: verdict, causes, unexplained structure, what is not testable."""
     return [text for listed in findings(d, flown).values() for text in listed]
 
 
-def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[str]]:
+def findings(d: result.Diagnosis, flown: result.Trajectories | None = None) -> dict[str, list[str]]:
     """The same by what they are on, in the order of reading."""
     bases = {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}
     absorbed = [(a, " or ".join(f"{n} {_size(x)}" for n, x in a.sizes.items())) for a in d.absorbed]
@@ -100,7 +87,7 @@ def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[
     }
 
 
-def _beyond(d: Diagnosis) -> list[str]:
+def _beyond(d: result.Diagnosis) -> list[str]:
     """What is left out of the model: channels that are wrong as a whole, what is larger than on any aircraft, then what
     was estimated together with that."""
     large, joint = [_whole_channel(c.name, c.wrong) for c in d.beyond if c.wrong], []
@@ -112,17 +99,17 @@ def _beyond(d: Diagnosis) -> list[str]:
     return large + joint
 
 
-def _whole_channel(name: str, w: WrongChannel) -> str:
+def _whole_channel(name: str, w: result.WrongChannel) -> str:
     way, size = ("large", w.times) if w.times > 1.0 else ("small", 1.0 / w.times)
     looks = f", as if in {w.unit}" if w.unit else ""
     return sentence("whole_channel", name=name, w=w, size=number(size), way=way, looks=looks)
 
 
-def _size(x: Size) -> str:
+def _size(x: result.Size) -> str:
     return size_text(x.mean, x.sd, x.unit)
 
 
-def _cause(cause: Cause) -> str:
+def _cause(cause: result.Cause) -> str:
     text = [f"{cause.name}: {cause.claim}"]
     if cause.ambiguous_with:
         gains = {n: f"{gain:+z.1f} ± {sd:.1f}" for n, (gain, sd) in cause.rival_gains.items()}
@@ -150,7 +137,7 @@ def _cause(cause: Cause) -> str:
     return " ".join(text)
 
 
-def _why_not_confirmed(cause: Cause) -> str:
+def _why_not_confirmed(cause: result.Cause) -> str:
     gain, (lost, sd) = cause.gain, cause.missed
     if worse := [f"{name} {change:+z.1f} ± {se:.1f}" for name, (change, se) in gain.degraded.items()]:
         return f"with it they are predicted worse: log density of {several(worse)}"
@@ -159,7 +146,7 @@ def _why_not_confirmed(cause: Cause) -> str:
     return f"removed: log density {-lost:+z.1f} ± {sd:.1f}"
 
 
-def _taken_over(d: Diagnosis) -> list[str]:
+def _taken_over(d: result.Diagnosis) -> list[str]:
     """How to put the causes that the verdict rests on into the card: errors have their size, effects are fitted."""
     clear = {c.name: c for c in d.causes if c.sure and not c.ambiguous_with}
     known = [c for name, c in clear.items() if name in CATALOGUE and set(c.joint) <= set(clear)]
@@ -169,7 +156,7 @@ def _taken_over(d: Diagnosis) -> list[str]:
     return [sentence(k, names=[f'"{c.name}"' for c in some], fixed=fixed) for k, some in both.items() if some]
 
 
-def _unexplained(d: Diagnosis) -> list[str]:
+def _unexplained(d: result.Diagnosis) -> list[str]:
     """Along trajectories an effect may be true and fail its test, which is less powerful than that of the terms."""
     texts, none = [], "explains this" if d.tested is None else "passes its own test along the trajectories"
     for u in d.unknown:
@@ -183,7 +170,7 @@ def _unexplained(d: Diagnosis) -> list[str]:
     return texts
 
 
-def _terms(d: Diagnosis) -> list[str]:
+def _terms(d: result.Diagnosis) -> list[str]:
     texts = []
     for t in d.terms:
         past = "" if t.term.code is not None else " It depends on the past, which no effect file can state."
@@ -194,7 +181,7 @@ def _terms(d: Diagnosis) -> list[str]:
     return texts + ([sentence("write_terms")] if any(t.term.code is not None for t in d.terms) else [])
 
 
-def _noise(d: Diagnosis) -> list[str]:
+def _noise(d: result.Diagnosis) -> list[str]:
     texts, noise = [], d.noise
     if noise.of_innovations and noise.coloured:
         lags = [f"{name} ({noise.lag1[name]:.2f})" for name in noise.coloured]
@@ -219,7 +206,7 @@ def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str
     return texts
 
 
-def change_sentences(changes: Sequence[ParameterChange]) -> list[str]:
+def change_sentences(changes: Sequence[result.ParameterChange]) -> list[str]:
     texts = []
     for c in changes:
         begin, end = c.interval
@@ -238,7 +225,7 @@ def change_sentences(changes: Sequence[ParameterChange]) -> list[str]:
 # --- The verdict. It rests on causes that are confirmed, probable and of plausible size.
 
 
-def verdict_sentence(d: Diagnosis) -> str:
+def verdict_sentence(d: result.Diagnosis) -> str:
     """Whether the card's model is in error, and whether causes explain that."""
     sure = sum(c.sure for c in d.causes)
     if d.tested is not None:
@@ -247,7 +234,7 @@ def verdict_sentence(d: Diagnosis) -> str:
     return sentence(f"verdict_{key}", n=sure)
 
 
-def _flown_verdict(d: Diagnosis, tested: Tested, sure: int) -> str:
+def _flown_verdict(d: result.Diagnosis, tested: result.Tested, sure: int) -> str:
     """The same from trajectories alone: causes explain the error only if the residual is sensor noise."""
     sizes, where = "", ""
     if tested.beyond:  # on hold-out flights where there are any
@@ -269,7 +256,7 @@ def _rms(output: str, value: float) -> str:
     return "".join(amounts(STANDARD_CHANNELS[output].unit, value))
 
 
-def tested_sentences(d: Diagnosis) -> list[str]:
+def tested_sentences(d: result.Diagnosis) -> list[str]:
     if d.tested is None or not d.tested.outputs:
         return []
     of = d.tested.outputs
@@ -278,7 +265,7 @@ def tested_sentences(d: Diagnosis) -> list[str]:
     return [sentence("tested", listed=listed), *([sentence("tested_beyond", names=beyond)] if beyond else [])]
 
 
-def _unsure(d: Diagnosis) -> list[str]:
+def _unsure(d: result.Diagnosis) -> list[str]:
     """Causes on which the verdict does not rest, a sentence for each reason."""
     reasons: dict[str, list[str]] = {}
     for cause in (c for c in d.causes if not c.sure):
@@ -298,24 +285,24 @@ def _unsure(d: Diagnosis) -> list[str]:
 # --- The screen.
 
 
-def diagnosis_screen(result: Outcome, card: Card, records: Sequence[FlightRecord]) -> Screen:
+def diagnosis_screen(outcome: Outcome, card: Card, records: Sequence[FlightRecord]) -> Screen:
     """The causes on which the verdict rests, in the order in which an engineer mends them, and all doubts."""
-    d, flown = result.diagnosis, result.view.trajectories
-    record, mend = parts.record_block(records, result.health, result.consistency, corrects=d.by_coefficients)
+    d, flown = outcome.diagnosis, outcome.view.trajectories
+    record, mend = parts.record_block(records, outcome.health, outcome.consistency, corrects=d.by_coefficients)
     stages = {name: effect.stage for name, effect in CATALOGUE.items()}  # sensors, aircraft, then the model
     sure = sorted((c for c in d.causes if c.sure), key=lambda c: stages.get(c.name, math.inf))
     gain, answer = "" if flown is None else simulation_gain(flown), verdict_sentence(d)
     shown = [getattr(answer, "claim", answer), *([sure_table(sure)] if sure else []), *([gain] if gain else [])]
-    shown += revealed(result.hidden, result.named) if result.hidden else []
+    shown += revealed(outcome.hidden, outcome.named) if outcome.hidden else []
     listed = findings(d, flown)
     messages = doubts_of(text for kind, texts in listed.items() if kind != "verdict" for text in texts)
-    doubts = [*result.failures, *claims(messages), *d.notes, *result.notes]
-    steps = [*mend, *actions([*_taken_over(d), *messages]), *points_sentences(result.test_points)[:1]]
+    doubts = [*outcome.failures, *claims(messages), *d.notes, *outcome.notes]
+    steps = [*mend, *actions([*_taken_over(d), *messages]), *points_sentences(outcome.test_points)[:1]]
     then = sentence("next_anyway" if d.unreliable else "next_fly", given=parts.given(records, card))
     return Screen(record, shown, doubts, list(dict.fromkeys([*steps, then])))
 
 
-def sure_table(causes: Sequence[Cause]) -> Table:
+def sure_table(causes: Sequence[result.Cause]) -> Table:
     """Each cause with its size, and what it gains on hold-out data."""
     column, rivals = columns_of(causes), "or these"
     columns = [
@@ -324,11 +311,11 @@ def sure_table(causes: Sequence[Cause]) -> Table:
         column(_held_out, page="hold-out data"),
     ]
     if any(c.ambiguous_with for c in causes):
-        columns.append(column(lambda c: several(c.ambiguous_with), page=rivals, form=or_dash, words=True))
+        columns.append(column(lambda c: several(c.ambiguous_with), page=rivals, words=True))
     return Table(columns)
 
 
-def _held_out(c: Cause) -> str:
+def _held_out(c: result.Cause) -> str:
     """R² of the coefficient that gains most, before and after; without a gain in sight, what removal costs."""
     pairs = {n: (c.gain.before[n].r2, c.gain.after[n].r2) for n in c.gain.before if n in c.gain.after}
     gains = {n: (b - a, a, b) for n, (a, b) in pairs.items() if math.isfinite(a + b)}
@@ -337,7 +324,7 @@ def _held_out(c: Cause) -> str:
     return f"{-c.missed[0]:+z.0f} ± {c.missed[1]:.0f} nats if removed" if math.isfinite(c.missed[0]) else NONE
 
 
-def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
+def in_band_sentences(sizes: result.CausesInBand | None) -> tuple[str, ...]:
     if sizes is None:
         return ()
     band = band_text(sizes)
@@ -352,14 +339,14 @@ def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
     return (*texts, *([f"The band does not show {several(sizes.unseen)}."] if sizes.unseen else []))
 
 
-def causes_table(d: Diagnosis) -> Table:
+def causes_table(d: result.Diagnosis) -> Table:
     """A row for each cause, in files for each of its parameters, SI and radians, with scores on hold-out data."""
     column = columns_of(d.causes)
 
     def each(get: Callable[[Any], Any], *heads: Any, **how: Any) -> Column:
         return column(lambda c: [get(size) for size in c.parameters.values()], *heads, **how)
 
-    def change(c: Cause, name: str, kind: str) -> BeforeAfter | None:
+    def change(c: result.Cause, name: str, kind: str) -> BeforeAfter | None:
         both = c.gain.before, c.gain.after
         return BeforeAfter(*(getattr(of[name], kind) for of in both)) if name in c.gain.before else None
 
@@ -386,13 +373,13 @@ def causes_table(d: Diagnosis) -> Table:
         column(lambda c: (c.gain.elpd, c.gain.elpd_se), ("elpd", "elpd_se")),
         column(lambda c: Estimate(-c.missed[0], c.missed[1]), ("taken_out_elpd", "taken_out_elpd_se")),
         Column(removed, page=if_removed),
-        column(lambda c: several(c.ambiguous_with), page="rivals", form=or_dash),
+        column(lambda c: several(c.ambiguous_with), page="rivals"),
         *scores,
     ]
     return table("causes", columns)
 
 
-def _sizes(c: Cause) -> list[str]:
+def _sizes(c: result.Cause) -> list[str]:
     texts = {name: size_text(s.mean, s.sd, s.unit).replace("c/V", "chords") for name, s in c.parameters.items()}
     return [f"{name} {text}" if len(texts) > 1 else text for name, text in texts.items()]
 
@@ -407,7 +394,7 @@ def probability(value: float) -> str:
     return "> 0.99" if value > 0.99 else f"{value:.2f}"
 
 
-def changes_table(d: Diagnosis) -> Table:
+def changes_table(d: result.Diagnosis) -> Table:
     """A row for each parameter that takes another value during the records, in files SI and radians."""
     column, sizes = columns_of(d.changes), []
     for n, head in (("before", "before"), ("after", "after"), ("size", "change")):
@@ -426,12 +413,12 @@ def changes_table(d: Diagnosis) -> Table:
         column(lambda c: c.share, "share"),
         column(lambda c: c.p_value, "p_value", "p", form=2),
         column(lambda c: c.gain, "elpd", "hold-out gain", form=".1f"),
-        column(lambda c: several(c.ambiguous_with), "ambiguous_with", "rivals", form=or_dash),
+        column(lambda c: several(c.ambiguous_with), "ambiguous_with", "rivals"),
     ]
     return table("changes", columns)
 
 
-def terms_table(d: Diagnosis) -> Table:
+def terms_table(d: result.Diagnosis) -> Table:
     """A row for each term that describes unexplained structure, in files SI and radians."""
     column, alike = columns_of(d.terms), lambda t: "; ".join(o.name for o, _ in t.others)
     columns = [
@@ -443,12 +430,12 @@ def terms_table(d: Diagnosis) -> Table:
         column(lambda t: t.share, "share", "share left", form=".0%"),
         column(lambda t: t.gain, "elpd", "hold-out gain", form=".1f"),
         column(lambda t: t.weight, "probability", "probability", form=".2f"),
-        column(alike, "ambiguous_with", "as good", form=or_dash, words=True),
+        column(alike, "ambiguous_with", "as good", words=True),
     ]
     return table("terms", columns)
 
 
-def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
+def screen_table(rankings: Sequence[result.Ranking], d: result.Diagnosis) -> Table:
     """Every candidate of `rankings`: those of the first screening of each stage, the highest score first."""
     causes = {(c.stage, c.name) for c in d.causes}
     rows = [(r, s) for r in rankings for s in r.candidate_scores]
@@ -466,7 +453,7 @@ def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
     return table("screen", columns, stage=rankings[0].stage if rankings else "", beyond=beyond)
 
 
-def scores_frame(holdout: HoldoutScores) -> pd.DataFrame:
+def scores_frame(holdout: result.HoldoutScores) -> pd.DataFrame:
     """A row for each model, fit, manoeuvre, coefficient: scores of 5 Hz means, and the gain of the extended model."""
     rows = []
     for (model, data, k), scores in sorted(holdout.scores.items()):
@@ -481,7 +468,7 @@ def scores_frame(holdout: HoldoutScores) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def gain_table(view: DiagnosisView) -> Table | None:
+def gain_table(view: result.DiagnosisView) -> Table | None:
     """Scores of each coefficient on hold-out data; nothing where nothing was added."""
     if view.unseen_scores is None:
         return None
@@ -493,7 +480,7 @@ def gain_table(view: DiagnosisView) -> Table | None:
     return table("gain", columns, what=WORDS["splits"][view.diagnosis.split])
 
 
-def holdout_table(unseen: HoldoutScores) -> Table:
+def holdout_table(unseen: result.HoldoutScores) -> Table:
     """Both models on each hold-out manoeuvre, and whether the difference is significant."""
     rows = []
     for k, manoeuvre in enumerate(unseen.names):
@@ -511,7 +498,7 @@ def holdout_table(unseen: HoldoutScores) -> Table:
     return table("holdout", columns, worse=worse)
 
 
-def moves_table(view: View) -> Table:
+def moves_table(view: result.View) -> Table:
     rows = [(name, m, *for_people(m.unit)) for name, m in view.moves.items()]
     moved = [(m.after - m.before) / m.sd_after if m.sd_after > 0.0 else None for _, m, *_ in rows]
     columns = [
@@ -523,7 +510,7 @@ def moves_table(view: View) -> Table:
     return table("moves", columns)
 
 
-def residual_table(view: View) -> Table:
+def residual_table(view: result.View) -> Table:
     """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation, and calibration."""
     models = [("card's", view.card), *([("extended", view.extended)] if view.changed else [])]
     rows = [(f"{name}, {label}", fitted.composition[name]) for name in view.coefficients for label, fitted in models]
@@ -550,10 +537,10 @@ FROM_WHAT = {
 FEW = 4  # manoeuvres that are listed one by one in the open
 
 
-def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
+def diagnosis_page(view: result.DiagnosisView, context: parts.PageContext) -> Report:
     """The page of a diagnosis, by coefficients (which has a `View`) or by trajectories alone."""
-    result, card, d = context.result, context.card, view.diagnosis
-    whole, captions = cast("View | None", view if hasattr(view, "card") else None), dict(WORDS["captions"])
+    outcome, card, d = context.result, context.card, view.diagnosis
+    whole, captions = cast("result.View | None", view if hasattr(view, "card") else None), dict(WORDS["captions"])
     if whole is not None:
         panel, manoeuvre, _ = telling(whole)
         captions["found"] = captions["found"].format(panel.name, manoeuvre)
@@ -572,10 +559,10 @@ def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
     return Report(
         title=f"Diagnosis: {card.title}",
         subtitle=f"The model error, its causes, and the gain of the extended model{FROM_WHAT[d.compared]}",
-        verdict=diagnosis_screen(result, card, context.records),
+        verdict=diagnosis_screen(outcome, card, context.records),
         lead=lead,
         sections=[
-            parts.records_section(card, context.records, result.health),
+            parts.records_section(card, context.records, outcome.health),
             section("causes", "Causes of the model error", lambda: _causes(view, context)),
             section("gain", "Gain of the extended model on hold-out data", lambda: whole and _gain(whole, gallery)),
             section("open", "What is open", lambda: _open(d, context) if whole else in_full),
@@ -584,12 +571,12 @@ def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
             section("stall", "The stall", lambda: _stall(whole, gallery)),
             section("parameters", "Change of the card's parameters", lambda: moves),
             section("diagnostics", "Diagnostics", lambda: whole and fold(residuals, residual_table(whole), drawn)),
-            parts.provenance_section(context.source, result.notes),
+            parts.provenance_section(context.source, outcome.notes),
         ],
     )
 
 
-def _causes(view: DiagnosisView, context: parts.PageContext) -> list[Any]:
+def _causes(view: result.DiagnosisView, context: parts.PageContext) -> list[Any]:
     d = view.diagnosis
     shared = "; rivals (last column) share it" if any(c.ambiguous_with for c in d.causes) else ""
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in view.rankings]
@@ -603,7 +590,7 @@ def _causes(view: DiagnosisView, context: parts.PageContext) -> list[Any]:
     ]
 
 
-def _stall(view: View | None, gallery: Gallery) -> Any:
+def _stall(view: result.View | None, gallery: Gallery) -> Any:
     if view is None or not view.stalls:
         return "CLmax and the stall angle are not given: they need lift coefficients."
     about = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
@@ -611,13 +598,13 @@ def _stall(view: View | None, gallery: Gallery) -> Any:
     return parts.stall_table(stalls, about), gallery("stall_models", "separation_models")
 
 
-def _flown(view: DiagnosisView, card: Card) -> Any:
+def _flown(view: result.DiagnosisView, card: Card) -> Any:
     if view.trajectories is None:
         return "No trajectories were simulated in this run."
     return trajectories(view.trajectories, card), trajectory_sentences(view.trajectories)
 
 
-def _gain(view: View, gallery: Gallery) -> tuple[Any, ...]:
+def _gain(view: result.View, gallery: Gallery) -> tuple[Any, ...]:
     whole = gain_table(view)
     if whole is None:
         return ("Nothing was added, so there is no gain to report.",)
@@ -625,7 +612,7 @@ def _gain(view: View, gallery: Gallery) -> tuple[Any, ...]:
     return whole, fold("The same, manoeuvre by manoeuvre", each) if len(view.names) > FEW else each, gallery("gain")
 
 
-def _open(d: Diagnosis, context: parts.PageContext) -> list[Any]:
+def _open(d: result.Diagnosis, context: parts.PageContext) -> list[Any]:
     listed, points, sensors = findings(d), context.result.test_points, context.result.consistency
     sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
     rivals = f"Rival explanations on this record: {'; '.join(sets)}."
@@ -647,7 +634,7 @@ def _open(d: Diagnosis, context: parts.PageContext) -> list[Any]:
     ]
 
 
-def _coefficients(view: View) -> list[Any]:
+def _coefficients(view: result.View) -> list[Any]:
     lateral = bool(set(LATERAL) & set(view.coefficients))
     what = "Coefficients measured and simulated by the card's and the extended model, and the controls,"
 

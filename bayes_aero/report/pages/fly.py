@@ -31,7 +31,6 @@ from bayes_aero.report.table import (
     Column,
     Estimate,
     Table,
-    or_dash,
     parameter_columns,
     table,
     with_error,
@@ -191,7 +190,7 @@ def parameter_table(flown: TrajectoryFit) -> Table:
         Column(priors, "prior", "prior"),
         Column([p.bounds for p in fit.parameters], page="bounds", form=_bounds),
         *(Column([name in names for name in fit.names], mark) for mark, names in marked.items()),
-        Column(remarks, page="remark", form=or_dash, words=True),
+        Column(remarks, page="remark", words=True),
     ]
     return table("trajectory_parameters", columns)
 
