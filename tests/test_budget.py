@@ -10,17 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41997,
+    "bayes_aero: lines": 41993,
     "bayes_aero: files": 130,
-    "bayes_aero: private helpers used once": 232,
+    "bayes_aero: private helpers used once": 233,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 21667,
+    "tests: lines": 21704,
     "tests: files": 85,
-    "benchmarks: lines": 4423,
-    "benchmarks: files": 25,
+    "benchmarks: lines": 4484,
+    "benchmarks: files": 26,
     "benchmarks/README.md: lines": 248,
     "CHANGELOG.md: lines": 150,
-    "docs: words": 24780,
+    "docs: words": 24868,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

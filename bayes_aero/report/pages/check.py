@@ -36,8 +36,10 @@ def check_screen(report: CheckReport, failures: Sequence[str] = ()) -> Screen:
     able = [name for name, why in report.uses.items() if not why]
     unable = [f"{name}: {why}." for name, why in report.uses.items() if why]
     usable = "usable" if not mend else "usable_then"
-    shown = [sentence(usable, names=able)] if report.usable else [sentence("unusable")]
-    shown += [f"{name}: {error['claim']} {parts.error_sizes(error)}" for name, error in report.sensors.errors.items()]
+    shown: list[str | Table] = [sentence(usable, names=able) if report.usable else sentence("unusable")]
+    errors = {name: parts.error_sizes(error).removeprefix(f"{name} ") for name, error in report.sensors.errors.items()}
+    columns = Column([*errors], page="error of a sensor"), Column([*errors.values()], page="size ± standard error")
+    shown += [Table(columns)] if errors else []
     untestable = [sentence("not_testable_count", n=len(report.not_testable))] if report.not_testable else []
     found = parts.consistency_sentences(report.consistency, corrects=False)[1:]
     given = " ".join([*(r.path for r in report.records), "--model", report.card.path or report.card.name])
@@ -45,14 +47,8 @@ def check_screen(report: CheckReport, failures: Sequence[str] = ()) -> Screen:
     places = [f"{r.path}@{p.part}" for r in report.records for p in r.proposals if p.what == "manoeuvre"]
     several_in_one = len(places) > len(report.records)
     parts_of = [sentence("give_these", listed=parts.several(places, parts.MOST_FILES))] if several_in_one else []
-    doubts = [
-        *problems[parts.MOST_FAULTS :],
-        *failures,
-        *claims(doubts_of(found)),
-        *unable,
-        *report.left_out,
-        *untestable,
-    ]
+    doubts = [*problems[parts.MOST_FAULTS :], *failures, *claims(doubts_of(found)), *unable]
+    doubts += [*report.left_out, *untestable]
     return Screen(record, shown, doubts, [*mend, *parts_of, *then])
 
 
