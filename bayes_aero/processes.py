@@ -11,11 +11,12 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import platformdirs
 from threadpoolctl import ThreadpoolController
@@ -100,6 +101,8 @@ def ignore_cache_errors() -> None:
 # --- Number of cores that this process may use, and limits on the threads of linear algebra.
 
 VARIABLE = "BAYES_AERO_CORES"
+Item = TypeVar("Item")
+Made = TypeVar("Made")
 _LIBRARIES = cache(ThreadpoolController)  # of BLAS, found once
 WORTH_THREADS = 2500  # rows of a matrix below which a second BLAS thread costs more than it does (twice at 1000 rows)
 
@@ -110,6 +113,13 @@ def cores() -> int:
 
     allowed = os.environ.get(VARIABLE, "")
     return max(1, int(allowed)) if allowed.isdecimal() else cpu_count()
+
+
+def side_by_side(do: Callable[[Item], Made], items: Iterable[Item]) -> list[Made]:
+    """`do` for each item, a thread a core: what NumPy and JAX compute is outside Python's lock."""
+    given = list(items)
+    with ThreadPoolExecutor(max(1, min(len(given), cores()))) as pool:
+        return list(pool.map(do, given))
 
 
 @contextmanager

@@ -55,7 +55,7 @@ def check(
     if verbose:
         from bayes_aero.report.page import as_text
 
-        terminal.print_findings(as_text(page_of_check(report, seed)))
+        console.print(f"{terminal.ALL}{as_text(page_of_check(report, seed))}", end="", soft_wrap=True)
     if failures or not report.usable:
         raise typer.Exit(terminal.FAILED)
     terminal.exit_in_doubt(report.consistency, report.health, corrects=False)

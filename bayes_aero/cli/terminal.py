@@ -33,6 +33,7 @@ BAD_INPUT = 2
 DOUBT = 3  # done and written, but sensors disagree or a channel is faulty
 INTERRUPTED = 130
 COLUMNS = 100  # of the screen, where the terminal has as many
+ALL = "All findings\n"  # before the text of the page
 
 SUFFIXES = ".csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc"
 RECORDS = f"Flight records ({SUFFIXES}), or parts of them, FILE@FROM:TO in seconds"
@@ -158,11 +159,6 @@ def print_failures(console: Console, failures: Sequence[str]) -> None:
         console.print(f"✗ {sentence}", style="red", highlight=False, soft_wrap=True)
 
 
-def print_findings(text: str) -> None:
-    """All that a page says, below the screen"""
-    typer.echo(f"All findings\n{text}", nl=False)
-
-
 def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding], *, corrects: bool) -> None:
     """Leave with `DOUBT` where a channel is faulty or sensors disagree, but for known errors that were corrected."""
     explained = corrects and agreement is not None and agreement.agreement == "disagree_explained"
@@ -198,7 +194,7 @@ def conclude(
             teller().print(line, soft_wrap=True)
         pages = document.with_suffix(".txt"), document.with_name("report.txt")
         for page in (page for page in pages if verbose and page.exists()):
-            print_findings(page.read_text(encoding="utf-8"))
+            typer.echo(f"{ALL}{page.read_text(encoding='utf-8')}", nl=False)
     if failed or (outcome.failures if failures is None else failures):
         raise typer.Exit(FAILED)
     if doubtful:

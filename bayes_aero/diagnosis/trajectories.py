@@ -41,7 +41,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior, departure
 from bayes_aero.physics.aircraft import altitude_of_density
-from bayes_aero.processes import blas_threads, compiled_at, cores
+from bayes_aero.processes import blas_threads, compiled_at, cores, side_by_side
 from bayes_aero.progress import Progress, quiet
 
 Vector = Float[np.ndarray, " k"]
@@ -104,8 +104,7 @@ def _probabilities(
         size = np.max(np.abs(np.asarray(trajectory.residual[0])), axis=0)
         return np.where(inside & np.isfinite(size), size, np.inf)
 
-    with ThreadPoolExecutor(cores()) as pool:
-        sizes = dict(zip(alone.outputs, np.stack(list(pool.map(largest, draws))).T, strict=True))
+    sizes = dict(zip(alone.outputs, np.stack(side_by_side(largest, draws)).T, strict=True))
     return {n: float(np.mean(size <= tolerances[n])) for n, size in sizes.items() if n in tolerances}
 
 

@@ -494,6 +494,15 @@ class _Model:
             best = trials[int(np.argmax(gains))]
             model = best if best.state is model.state else best.refitted()
 
+    @cached_property
+    def _tried(self) -> dict[str, _Model]:
+        return {}
+
+    def in_place_of(self, causes: Sequence[str]) -> list[_Model]:
+        """For each cause the model with terms in its place; kept, for it is asked for again."""
+        self._tried.update({name: self.with_terms_for(name) for name in causes if name not in self._tried})
+        return [self._tried[name] for name in causes]
+
     def with_terms_for(self, name: str) -> _Model:
         state = _without(self.state, [name], self.state.apart)
         reached = _reached(state, self.state, ())
@@ -592,7 +601,7 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
         model, better = start, [(0.0, start)]
         while better:  # terms in place of one cause after another, as long as they are decisively better
             model = max(better, key=lambda pair: pair[0])[1]
-            others = [model.with_terms_for(name) for name in rest if name in model.state.active]
+            others = model.in_place_of([name for name in rest if name in model.state.active])
             better = [(x, other) for other in others if (x := other.beyond(model)) > state.settings.decisive]
         tried.append(model.eliminated(items, curves))
         best = _best_model(start, tried)
@@ -681,7 +690,7 @@ SHOWN = 4  # parts of a form that are listed beside a cause
 def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> dict[str, tuple[str, float]]:
     """Forms of `others`, or in place of one cause, that explain as well as causes, and by how many nats less."""
     settings, rivals = best.state.settings, dict[str, tuple[str, float]]()
-    for other in (*others, *(best.with_terms_for(name) for name in causes)):
+    for other in (*others, *best.in_place_of(causes)):
         gone = [name for name in causes if name not in other.state.active]
         had = {component.label for component in best.components}
         labels = [component.label for component in other.components if component.label not in had]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -39,7 +38,7 @@ from bayes_aero.inference.optimise import (
 )
 from bayes_aero.inference.results import Inseparable, OutputErrorStatus, inseparable
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.processes import compiled_at, cores
+from bayes_aero.processes import compiled_at, cores, side_by_side
 
 OfStates = Float[np.ndarray, "w s"]
 
@@ -125,11 +124,7 @@ class NormalEquations:
             return tuple(np.asarray(x) for x in _inner_products(self._parts[number], theta, begin))
 
         every = range(len(self._rows))
-        if len(self._parts) > 1 and self._compiled:
-            with ThreadPoolExecutor(min(len(self._parts), cores())) as pool:
-                evaluated = list(pool.map(products, every))
-        else:
-            evaluated = list(map(products, every))
+        evaluated = side_by_side(products, every) if self._compiled else list(map(products, every))
         self._compiled = True
         zeros = tuple(np.zeros_like(x) for x in next(filter(None, evaluated)))
         every_part = zip(*(part or zeros for part in evaluated), strict=True)

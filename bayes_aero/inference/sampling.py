@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
@@ -35,7 +34,7 @@ from bayes_aero.inference.results import (
     PosteriorStatus,
 )
 from bayes_aero.model.observations import Colour, Density, LogDensity, Noise
-from bayes_aero.processes import cores
+from bayes_aero.processes import side_by_side
 from bayes_aero.progress import Progress, quiet
 
 PRIOR_DRAWS, MIN_DRAWS = 8, 2  # of the prior, from which other modes are sought
@@ -234,8 +233,7 @@ class EnsembleLength(NamedTuple):
 def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:
     """Advance every ensemble by `steps`, one thread a core; the density runs outside Python's lock."""
     starts = [None] * len(samplers) if begin is None else list(begin)
-    with ThreadPoolExecutor(min(len(samplers), cores())) as pool:
-        list(pool.map(lambda sampler, start: sampler.run_mcmc(start, steps), samplers, starts))
+    side_by_side(lambda pair: pair[0].run_mcmc(pair[1], steps), zip(samplers, starts, strict=True))
 
 
 def _burnt_in(
@@ -460,8 +458,7 @@ def sample_nuts(
     chains = [_start_chain(target, length, key, v) for key, v in zip(keys, starts, strict=True)]
 
     def advanced(some: list[HMCState]) -> list[Any]:
-        with ThreadPoolExecutor(max(1, min(len(some), cores()))) as pool:
-            return list(pool.map(lambda chain: jax.block_until_ready(_draw_steps(target, length, chain)), some))
+        return side_by_side(lambda chain: jax.block_until_ready(_draw_steps(target, length, chain)), some)
 
     for number in range(-(-length.warmup // CALL_DRAWS)):  # the first chain starts alone and compiles
         parts = [chains] if number else [chains[:1], chains[1:]]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -34,7 +33,7 @@ from bayes_aero.inference.results import OutputErrorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Envelope, required_of
-from bayes_aero.processes import compiled_at, cores
+from bayes_aero.processes import compiled_at, side_by_side
 from bayes_aero.progress import Progress, quiet
 from bayes_aero.qualification import FlightKind
 from bayes_aero.residuals.equation_error import EquationError
@@ -63,8 +62,7 @@ def spread(alone: SegmentTrajectories, theta: Vector, draws: Float[np.ndarray, "
         return np.where(sound & np.isfinite(made), made, -np.inf)
 
     centre = residual(theta)
-    with ThreadPoolExecutor(cores()) as pool:
-        return np.stack([centre - away for away in pool.map(residual, draws)])
+    return np.stack([centre - away for away in side_by_side(residual, draws)])
 
 
 def gust_spread(
@@ -80,8 +78,7 @@ def gust_spread(
         values = calm | dict(zip(alone.dynamics.names, job[0], strict=True)) | dict(gusts)
         return np.asarray(_added(gusty.nameless, jnp.asarray([values[p.name] for p in free]), jnp.asarray(job[1])))
 
-    with ThreadPoolExecutor(cores()) as pool:
-        return np.stack(list(pool.map(added, ((d, rng.standard_normal((n + 1, s))) for d in draws))))
+    return np.stack(side_by_side(added, ((d, rng.standard_normal((n + 1, s))) for d in draws)))
 
 
 @compiled_at(0)
