@@ -16,9 +16,9 @@ Results are in SI units and radians; tables state the units.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -426,15 +426,13 @@ def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | N
     Raises:
         InputError: there is no such figure, or it has nothing to show.
     """
-    figures: Mapping[str, Callable[[Any], Figure]]
-    shown: Any
     if isinstance(result, Fit):
         figures, shown, name = FIGURES, result.run, figure or "forest"
     else:
         figures, shown, name = DIAGNOSIS_FIGURES, result.by_coefficients, figure or "measured_simulated"
     _choose("figure", name, figures)
     try:
-        drawn = figures[name](shown)
+        drawn = cast(Any, figures[name])(shown)
     except NotDrawn as reason:
         raise InputError(f"the figure {name} has nothing to show: {reason}") from None
     if width is not None:

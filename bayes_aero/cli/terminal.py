@@ -181,10 +181,9 @@ def conclude(
     failed: bool = False,
     doubtful: bool = False,
 ) -> None:
-    """Show what a job has found on one screen (None: it is shown already), what was `written` and, if `verbose`, the
-    text of the page beside the `document`; or this; and leave with its code. `corrects`: it takes known errors of
-    sensors out; `compared`: the sensors were; `failed`: the result is of no use; `doubtful`: it is in doubt whatever
-    the records are."""
+    """Print the screen (None: it was printed), what was `written` and, if `verbose`, the text of the page; or the JSON
+    `document`. Then leave with the code. `corrects`: known errors of sensors were taken out; `compared`: the sensors
+    were; `failed`: the result is of no use; `doubtful`: it is in doubt whatever the records are."""
     if json:
         typer.echo(document.read_text(encoding="utf-8"), nl=False)
     else:

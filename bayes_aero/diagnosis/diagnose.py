@@ -95,7 +95,7 @@ def diagnose(
         compared=state.responses.stage,
         gusts=gusts,
         absorbed=selection.absorbed(searched.model),
-        **same,
+        **{name: getattr(searched, name) for name in same},
     ).judged()
 
 
@@ -374,8 +374,7 @@ def wrong_channel(cause: result.Cause, effect: Effect, card: Card) -> result.Wro
     times = float(1.0 / (1.0 + made[main][0]))
     names = tuple(c.name for c in card.channels if c.name in (main, f"{main}_left", f"{main}_right")) or (main,)
     units = other_units(card, names[0], unit_choices(names[0]))
-    unit = next((unit for unit, factor in units if abs(math.log(factor * times)) < SAME_UNIT), "")
-    return result.WrongChannel(names, times, unit)
+    return result.WrongChannel(names, times, next((u for u, to in units if abs(math.log(to * times)) < SAME_UNIT), ""))
 
 
 def stand_ins(

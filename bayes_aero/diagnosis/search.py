@@ -24,7 +24,7 @@ from bayes_aero.dynamics.segments import segments
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health import Departure
+from bayes_aero.flight.health import Consistency, Departure
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import nats
 from bayes_aero.inference.mle import fit_mle
@@ -57,7 +57,7 @@ class SearchResult:
     changes: tuple[ParameterChange, ...]
     terms: tuple[FoundTerm, ...]
     forms: Mapping[str, tuple[str, float]]  # as good as a cause; see `Forms.rivals`
-    unreliable: tuple[Departure, ...]  # of sensors: no effect was sought
+    unreliable: tuple[Departure, ...] = ()  # of sensors: no effect was sought
 
     @property
     def testable_now(self) -> bool:
@@ -117,7 +117,8 @@ class Search:
         if self.settings.anyway:
             return ()
         errors = None if sensors is None else errors_of_path(sensors)
-        report = consistency(self.records, self.card, seed=self.seed, errors=errors)
+        check = partial(consistency, self.records, self.card, seed=self.seed, errors=errors)
+        report, _ = attempted("Whether sensors contradict each other was not checked", check, Consistency("it failed"))
         return report.beyond({name: tolerance.value for name, tolerance in self.card.tolerances.items()})
 
     def coefficients(self) -> SearchResult:
@@ -129,10 +130,8 @@ class Search:
         responses = EquationError.of(flights, full.model)
         stages = partial(search_in_stages, full, responses, theta, seed=self.seed, progress=self.progress)
         sensors, model, denied, unreliable = stages(self.contradiction)
-        left, failures = attempted(
-            "Unexplained structure was not sought",
-            lambda: Left() if unreliable else unexplained(model, seed=self.seed + 2000), Left(),
-        )  # fmt: skip
+        seek, what = partial(unexplained, model, seed=self.seed + 2000), "Unexplained structure was not sought"
+        left, failures = (Left(), ()) if unreliable else attempted(what, seek, Left())
         sought, none = partial(forms_of, model, left, seed=self.seed + 3000), Forms((), (), unknown=left.unknown)
         what = "The form of unexplained structure was not sought"
         forms, failed = (none, ()) if unreliable else attempted(what, sought, none)
@@ -167,7 +166,7 @@ class Search:
         model = list(stages.values())[-1]
         unknown, noise = (*forms.unknown, *offsets_found(model, forms.idle)), noise_report(model, outliers)
         about = tuple(notes), tuple(failures), changes, forms.terms, forms.rivals
-        return SearchResult(full, stages, unknown, noise, *about, ())
+        return SearchResult(full, stages, unknown, noise, *about)
 
     def innovations(self) -> SearchResult:
         """What a filter does not foresee: a gust moves vane and accelerometers together, as no error of a sensor."""
@@ -208,9 +207,7 @@ class Search:
         notes = [ONLY_TERMS]
         if status is not PredictionErrorStatus.CONVERGED:
             notes.append(f"Process noise: {status.value}.")
-        return replace(
-            self._with_terms(extension, flights, outliers, notes, seek=not unreliable), unreliable=unreliable
-        )
+        return self._with_terms(extension, flights, outliers, notes, unreliable=unreliable)
 
     def trajectories(self) -> SearchResult:
         """In airspeed, flow angles, attitude, rates and altitude, where no accelerometer gives the coefficients."""
@@ -247,17 +244,17 @@ class Search:
         outliers: Mapping[str, int],
         notes: list[str],
         failures: Sequence[str] = (),
-        *,
-        seek: bool = True,
+        unreliable: tuple[Departure, ...] = (),
     ) -> SearchResult:
         """The result of a search in trajectories or innovations, with terms of the library for what is left."""
         sought, none = partial(flown_forms, extension, seed=self.seed + 3000, progress=self.progress), Forms((), ())
         what = "The form of what the catalogue does not explain was not sought"
-        forms, failed = attempted(what, sought, none) if seek else (none, ())
+        forms, failed = (none, ()) if unreliable else attempted(what, sought, none)
         if still := taken_as_zero(flights):
             notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
         extension = withdrawn(extension, forms.replaced, forms.sizes)
-        return self._result(extension.state.full, [extension], forms, outliers, notes, (*failures, *failed))
+        found = self._result(extension.state.full, [extension], forms, outliers, notes, (*failures, *failed))
+        return replace(found, unreliable=unreliable)
 
 
 # --- The two stages of a diagnosis by coefficients, and what each has to say of the other's finding.

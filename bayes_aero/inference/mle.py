@@ -22,6 +22,7 @@ from bayes_aero.dynamics.trim import conditions, steady_flow
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import noise_of
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference import results
 from bayes_aero.inference.covariance import robust_covariance
 from bayes_aero.inference.optimise import (
     Evaluation,
@@ -33,19 +34,6 @@ from bayes_aero.inference.optimise import (
     minimise,
     newton_gain,
     truncated_step,
-)
-from bayes_aero.inference.results import (
-    CONFLICT_LIMIT,
-    MIN_SHIFT,
-    ActiveBound,
-    Identification,
-    Interval,
-    MleResult,
-    MleStatus,
-    PosteriorStatus,
-    PriorConflict,
-    Stall,
-    score,
 )
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations, observe
@@ -120,7 +108,7 @@ def descend(model: Model, observations: Observations, start: Vector) -> Descent:
 
 def fit_mle(
     model: Model, observations: Observations, *, extra_starts: int = 6, start: Vector | None = None, seed: int = 0
-) -> MleResult:
+) -> results.MleResult:
     """Maximum-likelihood estimate of the model's free parameters."""
     # Starts from `start` (default: the card's) and from `extra_starts` draws of the priors, inside the bounds. The
     # result is the optimum with the smallest det R among those in which the separation point varies.
@@ -147,7 +135,7 @@ def scaled_inverse(A: Square) -> tuple[Square, Vector]:
 
 def _result(
     data: Data, observations: Observations, best: Descent, regular: bool, table: tuple[tuple[float, str], ...]
-) -> MleResult:
+) -> results.MleResult:
     model, theta, R, A = data.model, best.theta, best.point.R, best.point.information
     residual, S, X = map(np.asarray, evaluate(data, theta))
     measured = np.asarray(observations.measured)
@@ -156,13 +144,13 @@ def _result(
     corrected, blocks = robust_covariance(inverse, S, R, residual, observations.manoeuvre, start, observations.dt)
     sd = np.sqrt(np.diag(corrected))
     status = (
-        MleStatus.STALL_NOT_IDENTIFIED if not regular
-        else MleStatus.SINGULAR if not eigenvalues[0] > SINGULAR
-        else MleStatus.NOT_CONVERGED if not best.converged
-        else MleStatus.AT_BOUND if best.active.any() else MleStatus.CONVERGED
+        results.MleStatus.STALL_NOT_IDENTIFIED if not regular
+        else results.MleStatus.SINGULAR if not eigenvalues[0] > SINGULAR
+        else results.MleStatus.NOT_CONVERGED if not best.converged
+        else results.MleStatus.AT_BOUND if best.active.any() else results.MleStatus.CONVERGED
     )  # fmt: skip
     inside, by_coefficient = ~start[1:], dict(zip(observations.coefficients, residual.T, strict=True))
-    return MleResult(
+    return results.MleResult(
         parameters=model.free,
         estimate=theta,
         covariance=inverse,
@@ -173,7 +161,7 @@ def _result(
         at_bound=tuple(n for n, a in zip(model.names, best.active, strict=True) if a),
         eigenvalues=eigenvalues,
         separation=(float(X.min()), float(X.max())),
-        fit={n: score(z, z - r) for (n, r), z in zip(by_coefficient.items(), measured.T, strict=True)},
+        fit={n: results.score(z, z - r) for (n, r), z in zip(by_coefficient.items(), measured.T, strict=True)},
         lag1={n: float(np.sum(r[1:][inside] * r[:-1][inside]) / np.sum(r**2)) for n, r in by_coefficient.items()},
         starts=table,
         blocks=blocks,
@@ -182,7 +170,7 @@ def _result(
     )
 
 
-def fit_each_manoeuvre(model: Model, observations: Observations, *, seed: int = 0) -> dict[str, MleResult]:
+def fit_each_manoeuvre(model: Model, observations: Observations, *, seed: int = 0) -> dict[str, results.MleResult]:
     """Fits of single manoeuvres by name; none where there is only one, or more than `MAX_SEPARATE_FITS`."""
     count = len(observations.names)
     manoeuvres = range(count) if 1 < count <= MAX_SEPARATE_FITS else range(0)
@@ -212,15 +200,15 @@ def noise_bias(
 
 
 def without_noise_bias(
-    mle: MleResult, records: Sequence[FlightRecord], card: Card, model: Model, *, seed: int = 0
-) -> MleResult:
+    mle: results.MleResult, records: Sequence[FlightRecord], card: Card, model: Model, *, seed: int = 0
+) -> results.MleResult:
     """The fit `mle` to the matched coefficients of `records` without the bias by recording noise."""
     # White noise with the standard deviation of each channel's noise is added to the records, and the coefficients are
     # formed and fitted again. The bias is proportional to the variance of the noise, so the estimate changes by about
     # the bias that the recorded noise has caused. This holds to first order; the corrected covariance therefore
     # includes the squared bias. A fit that has not converged, with or without the added noise, is returned unchanged.
     # Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
-    if mle.status is not MleStatus.CONVERGED:
+    if mle.status is not results.MleStatus.CONVERGED:
         return mle
     rng = np.random.default_rng(seed)
     sizes = [{name: noise_of(x) for name, x in record.channels.items()} for record in records]
@@ -368,7 +356,9 @@ def _full_steps(data: Data, start: Any, lower: Any, upper: Any, tolerance: Any, 
 # --- Restraints on estimates: priors that the data contradict, and active bounds.
 
 
-def prior_conflicts(parameters: Sequence[Parameter], estimate: Vector, deviation: Vector) -> tuple[PriorConflict, ...]:
+def prior_conflicts(
+    parameters: Sequence[Parameter], estimate: Vector, deviation: Vector
+) -> tuple[results.PriorConflict, ...]:
     """Priors that the `estimate` by likelihood alone contradicts, by its corrected standard error; strongest first."""
     conflicts = []
     for p, x, sd in zip(parameters, estimate, deviation, strict=True):
@@ -380,9 +370,9 @@ def prior_conflicts(parameters: Sequence[Parameter], estimate: Vector, deviation
             difference = p.prior.location * np.log(x / p.prior.location)
             scatter = sd * p.prior.location / x
         distance = abs(difference) / np.hypot(scatter, wide)
-        if distance > CONFLICT_LIMIT:
+        if distance > results.CONFLICT_LIMIT:
             both = (mean, wide), (float(x), float(sd))
-            conflicts.append(PriorConflict(p.name, p.unit, *both, float(distance), p.prior.source))
+            conflicts.append(results.PriorConflict(p.name, p.unit, *both, float(distance), p.prior.source))
     return tuple(sorted(conflicts, key=lambda c: -c.distance))
 
 
@@ -393,7 +383,7 @@ def active_bounds(
     inverse: Square,
     deviation: Vector,
     active: np.ndarray,
-) -> tuple[ActiveBound, ...]:
+) -> tuple[results.ActiveBound, ...]:
     """Effect of each active bound on the estimates."""
     # `gradient` of the log-likelihood: zero except for the active parameters. `inverse` of the information, active
     # parameters included. `deviation`: corrected standard errors.
@@ -402,9 +392,10 @@ def active_bounds(
         step = inverse[:, i] * gradient[i]
         step = step if np.isfinite(step).all() else np.zeros_like(step)
         moves = {p.name: float(step[j] / deviation[j]) for j, p in enumerate(parameters) if j != i and deviation[j] > 0}
-        shifts = sorted(((n, x) for n, x in moves.items() if abs(x) > MIN_SHIFT), key=lambda item: -abs(item[1]))
+        far = [(n, x) for n, x in moves.items() if abs(x) > results.MIN_SHIFT]
+        shifts = sorted(far, key=lambda item: -abs(item[1]))
         p, lower, free = parameters[i], bool(gradient[i] < 0.0), float(estimate[i] + step[i])
-        bounds.append(ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
+        bounds.append(results.ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
     return tuple(bounds)
 
 
@@ -416,9 +407,11 @@ def active_bounds(
 BEYOND = 2.0  # corrected deviations, from which a move is worth a word
 
 
-def filter_mismatch_notes(records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult) -> tuple[str, ...]:
+def filter_mismatch_notes(
+    records: Sequence[FlightRecord], card: Card, model: Model, mle: results.MleResult
+) -> tuple[str, ...]:
     """A sentence where estimates from published coefficients move once all signals are filtered alike."""
-    sound = (MleStatus.CONVERGED, MleStatus.AT_BOUND)
+    sound = (results.MleStatus.CONVERGED, results.MleStatus.AT_BOUND)
     if mle.status not in sound:
         return ()
     alike = fit_mle(model, observe(records, card, model, Forming.MATCHED), start=mle.estimate, extra_starts=0)
@@ -448,7 +441,9 @@ QUANTILES = (0.025, 0.5, 0.975)
 RATE_SHARES = (0.05, 0.95)  # quantiles of the recorded alpha-dot at which separation is shown beside the steady one
 
 
-def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str, Any], aircraft: Aircraft) -> Stall:
+def stall_of(
+    model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str, Any], aircraft: Aircraft
+) -> results.Stall:
     """The stall over draws of the free parameters (columns as `model.names`), within the angles that `signals` hold."""
     thin = draws[np.unique(np.linspace(0, len(draws) - 1, min(CURVE_DRAWS, len(draws))).astype(int))]
     flown = np.asarray(signals["alpha"])
@@ -460,23 +455,23 @@ def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str
     flows = _flows(model, *given, aircraft)  # pyright: ignore[reportCallIssue]
     X, CL, CD = (np.asarray(flows[name]) for name in ("X", "CL", "CD"))  # (m, rates, angles)
     peak, place, edge = maxima(alpha, CL[:, 1])
-    return Stall(
+    return results.Stall(
         alpha=alpha,
         CL=np.quantile(CL[:, 1], QUANTILES, axis=0),
         CD=np.quantile(CD[:, 1], QUANTILES, axis=0),
         rates=rates,
         X=np.moveaxis(np.quantile(X, QUANTILES, axis=0), 0, 1),
-        CL_max=Interval.of(peak),
-        alpha_max=Interval.of(place),
+        CL_max=results.Interval.of(peak),
+        alpha_max=results.Interval.of(place),
         at_edge=float(np.mean(edge)),
         reference=reference,
     )
 
 
-def stall_of_run(run: Identification) -> Stall | None:
+def stall_of_run(run: results.Identification) -> results.Stall | None:
     """CLmax and its angle from the first posterior that converged; without one there is none."""
     for key, posterior in run.posteriors.items():
-        if key != "white" and posterior.status is PosteriorStatus.CONVERGED:
+        if key != "white" and posterior.status is results.PosteriorStatus.CONVERGED:
             o = run.observations
             return stall_of(run.model, posterior.draws(run.model.names), o.signals, o.aircraft)
     return None

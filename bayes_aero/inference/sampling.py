@@ -24,15 +24,7 @@ from numpyro.infer.hmc import HMCState, hmc
 from scipy import optimize
 from scipy.stats import binom, norm
 
-from bayes_aero.inference.results import (
-    Histogram,
-    Identification,
-    Marginal,
-    MleResult,
-    PitResult,
-    Posterior,
-    PosteriorStatus,
-)
+from bayes_aero.inference import results
 from bayes_aero.model.observations import Colour, Density, LogDensity, Noise
 from bayes_aero.processes import side_by_side
 from bayes_aero.progress import Progress, quiet
@@ -99,7 +91,7 @@ def _curvature(density: LogDensity, u: np.ndarray, step: np.ndarray) -> tuple[np
     return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(finite.all() and eigenvalues[0] > floor)
 
 
-def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
+def density_start(density: LogDensity, mle: results.MleResult) -> np.ndarray:
     """Start of the search for the posterior mode: the maximum-likelihood estimate and the noise of its residuals."""
     # Estimate and prior are weighted by their precisions, because estimates with little information may be anywhere.
     deviation = dict(zip(mle.fit, np.sqrt(mle.R), strict=True))
@@ -279,7 +271,7 @@ def sample_ensemble(
     length: EnsembleLength = EnsembleLength(),
     progress: Progress = quiet,
     predictive: bool = True,
-) -> Posterior:
+) -> results.Posterior:
     """Sample until ESS and R-hat reach their targets and the run spans many autocorrelation times."""
     began = time.perf_counter()
     samplers = _burnt_in(density, mode, seed, length)
@@ -321,11 +313,11 @@ class Drawn(NamedTuple):
     engine: str
     x: Float[np.ndarray, "chain draw k"]
     stats: Mapping[str, np.ndarray] = MappingProxyType({})
-    marginals: dict[str, Marginal] | None = None
+    marginals: dict[str, results.Marginal] | None = None
     divergent: bool = False
 
 
-def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -> dict[str, Marginal]:
+def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -> dict[str, results.Marginal]:
     """Marginal summaries with ArviZ's rank-normalised R-hat and bulk effective sample size."""
     dataset = azb.from_dict({"posterior": {name: draws[..., i] for i, name in enumerate(names)}})["posterior"].dataset
     ess, tail, rhat = azs.ess(dataset), azs.ess(dataset, method="tail"), azs.rhat(dataset)
@@ -334,11 +326,11 @@ def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -
         flat = draws[..., i].ravel()
         low, high = np.quantile(flat, [0.025, 0.975])
         moments = float(flat.mean()), float(flat.std(ddof=1)), (float(low), float(high))
-        marginals[name] = Marginal(*moments, *(float(x[name]) for x in (ess, tail, rhat)))
+        marginals[name] = results.Marginal(*moments, *(float(x[name]) for x in (ess, tail, rhat)))
     return marginals
 
 
-def converged(marginals: dict[str, Marginal]) -> bool:
+def converged(marginals: dict[str, results.Marginal]) -> bool:
     """Every parameter reaches the targets of effective sample size (bulk and tail) and R-hat."""
     return all(m.ess >= TARGET_ESS and m.rhat <= TARGET_RHAT for m in marginals.values())
 
@@ -354,7 +346,9 @@ def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m
     return jax.lax.map(lambda pair: (density.pointwise(pair[0]), density.replicate(*pair)), (x, white))
 
 
-def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, predictive: bool = True) -> Posterior:
+def assemble(
+    density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, predictive: bool = True
+) -> results.Posterior:
     """Turn draws of x into a `Posterior`."""
     # The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
     # thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
@@ -385,9 +379,9 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
         for group in ("posterior", "prior"):
             tree[group][parameter.name].attrs["units"] = parameter.unit
     marginals = drawn.marginals or diagnose(draws, names)
-    reached = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
-    status = PosteriorStatus.DIVERGENT if drawn.divergent else reached
-    return Posterior(drawn.engine, density.noise_label, names, tree, marginals, status, seconds)
+    reached = results.PosteriorStatus.CONVERGED if converged(marginals) else results.PosteriorStatus.NOT_CONVERGED
+    status = results.PosteriorStatus.DIVERGENT if drawn.divergent else reached
+    return results.Posterior(drawn.engine, density.noise_label, names, tree, marginals, status, seconds)
 
 
 # --- The posterior by NumPyro's NUTS: the independent check on the one density.
@@ -447,7 +441,7 @@ def sample_nuts(
     length: NutsLength = NutsLength(),
     progress: Progress = quiet,
     predictive: bool = True,
-) -> Posterior:
+) -> results.Posterior:
     """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them."""
     # Works on coordinates whitened by the curvature at the mode; starts are drawn from that Laplace approximation, each
     # chain its own, so that R-hat can see a second mode nearby. `progress(text, share)` is called after every block.
@@ -498,7 +492,7 @@ MAX_BINS, MIN_PER_BIN = 20, 20
 BAND = 0.95  # that all bars of uniform values lie inside
 
 
-def pit_of(run: Identification) -> PitResult | None:
+def pit_of(run: results.Identification) -> results.PitResult | None:
     """The transform of a run's samples by its first posterior under the chosen noise; None without a posterior."""
     engine = next((key for key in run.posteriors if key != "white"), None)
     if engine is None:
@@ -508,7 +502,7 @@ def pit_of(run: Identification) -> PitResult | None:
     values = pit(density, posterior.draws(density.names))
     columns, start = [values[:, c] for c in range(values.shape[1])], np.asarray(density.observations.start)
     bars, correlation = tuple(map(histogram, columns)), tuple(neighbours(column, start) for column in columns)
-    return PitResult(engine, values, bars, correlation)
+    return results.PitResult(engine, values, bars, correlation)
 
 
 @eqx.filter_jit
@@ -524,14 +518,14 @@ def pit(density: Density, x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n c
     return np.asarray(_mean_probability(density, jnp.asarray(kept)))
 
 
-def histogram(values: Float[np.ndarray, " n"]) -> Histogram:
+def histogram(values: Float[np.ndarray, " n"]) -> results.Histogram:
     """Bars of `values`, with a band by Bonferroni: exact for one bar, a little wide for all together."""
     n = len(values)
     bins = int(np.clip(n // MIN_PER_BIN, 2, MAX_BINS))
     count, edges = np.histogram(values, bins=bins, range=(0.0, 1.0))
     tail = 0.5 * (1.0 - BAND) / bins
     lower, upper = binom.ppf([tail, 1.0 - tail], n, 1.0 / bins)
-    return Histogram(edges, count * bins / n, float(lower * bins / n), float(upper * bins / n))
+    return results.Histogram(edges, count * bins / n, float(lower * bins / n), float(upper * bins / n))
 
 
 def neighbours(values: Float[np.ndarray, " n"], start: Bool[np.ndarray, " n"]) -> float:
@@ -549,7 +543,7 @@ PRIOR_SENSITIVITY_DRAWS = 4000
 SENSITIVITY_LIMIT = 0.05  # distance per log2 of the power from which a posterior depends on the scaled part (the paper)
 
 
-def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame:
+def prior_sensitivity(density: LogDensity, posterior: results.Posterior) -> pd.DataFrame:
     """A row per parameter: sensitivity to the prior and to the likelihood, and whether it leans on the prior."""
     # All priors are scaled together. `posterior` is one of `density`. The Monte Carlo error of the sensitivities is
     # about 0.01 for some thousand draws.

@@ -133,7 +133,7 @@ def test_no_effect_is_sought_where_sensors_contradict_each_other_beyond_the_tole
     assert "thrust_moment" in {c.name for c in anyway.causes}
 
 
-@pytest.mark.parametrize(("times", "unit"), [(8.0, ""), (1.0 / 4.4482, "lbf")])
+@pytest.mark.parametrize(("times", "unit"), [pytest.param(8.0, "", marks=pytest.mark.verify), (1.0 / 4.4482, "lbf")])
 def test_a_channel_in_another_unit_is_told_as_a_whole_and_nothing_beside_it_is_sure(card, times, unit):
     """Thrust of both engines, as the record has it; a silent flight but for that."""
     records = hidden_records({}, seed=11, noise="ar1", seconds=80.0)

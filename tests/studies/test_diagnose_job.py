@@ -122,7 +122,7 @@ def test_files_are_complete_follow_the_schema_and_keep_nothing_of_a_killed_run(l
     assert content["hidden"]["effects"] == repeated.hidden
     assert set(found.named) == set(repeated.hidden)
     assert "first" in found.named.values()
-    assert content["provenance"]["settings"] == {"max_effects": 8}
+    assert content["provenance"]["settings"] == {"max_effects": 8, "anyway": False}
     assert len(pd.read_csv(left / "screen.csv")) == len(content["screening"])
     assert set(pd.read_csv(left / "causes.csv")["cause"]) == {c["name"] for c in content["causes"]}
     gain = content["causes"][-1]["gain"]

@@ -47,7 +47,20 @@ from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, 
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis import result
+    from bayes_aero.diagnosis.result import (
+        Cause,
+        CausesInBand,
+        Diagnosis,
+        DiagnosisView,
+        HoldoutScores,
+        ParameterChange,
+        Ranking,
+        Size,
+        Tested,
+        Trajectories,
+        View,
+        WrongChannel,
+    )
     from bayes_aero.flight.card import Card
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.jobs.results import Outcome
@@ -56,12 +69,12 @@ SHOWN = 4  # other terms that are named
 SEEN = 0.005  # change of R² that two digits show
 
 
-def sentences(d: result.Diagnosis, flown: result.Trajectories | None = None) -> list[str]:
+def sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
     """The findings, one sentence or two each: verdict, causes, unexplained structure, what is not testable."""
     return [text for listed in findings(d, flown).values() for text in listed]
 
 
-def findings(d: result.Diagnosis, flown: result.Trajectories | None = None) -> dict[str, list[str]]:
+def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[str]]:
     """The same by what they are on, in the order of reading."""
     bases = {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}
     absorbed = [(a, " or ".join(f"{n} {_size(x)}" for n, x in a.sizes.items())) for a in d.absorbed]
@@ -87,7 +100,7 @@ def findings(d: result.Diagnosis, flown: result.Trajectories | None = None) -> d
     }
 
 
-def _beyond(d: result.Diagnosis) -> list[str]:
+def _beyond(d: Diagnosis) -> list[str]:
     """What is left out of the model: channels that are wrong as a whole, what is larger than on any aircraft, then what
     was estimated together with that."""
     large, joint = [_whole_channel(c.name, c.wrong) for c in d.beyond if c.wrong], []
@@ -99,17 +112,18 @@ def _beyond(d: result.Diagnosis) -> list[str]:
     return large + joint
 
 
-def _whole_channel(name: str, w: result.WrongChannel) -> str:
+def _whole_channel(name: str, w: WrongChannel) -> str:
     way, size = ("large", w.times) if w.times > 1.0 else ("small", 1.0 / w.times)
-    looks = f", as if in {w.unit}" if w.unit else ""
-    return sentence("whole_channel", name=name, w=w, size=number(size), way=way, looks=looks)
+    return sentence(
+        "whole_channel", name=name, w=w, size=number(size), way=way, looks=f", as if in {w.unit}" * bool(w.unit)
+    )
 
 
-def _size(x: result.Size) -> str:
+def _size(x: Size) -> str:
     return size_text(x.mean, x.sd, x.unit)
 
 
-def _cause(cause: result.Cause) -> str:
+def _cause(cause: Cause) -> str:
     text = [f"{cause.name}: {cause.claim}"]
     if cause.ambiguous_with:
         gains = {n: f"{gain:+z.1f} ± {sd:.1f}" for n, (gain, sd) in cause.rival_gains.items()}
@@ -137,7 +151,7 @@ def _cause(cause: result.Cause) -> str:
     return " ".join(text)
 
 
-def _why_not_confirmed(cause: result.Cause) -> str:
+def _why_not_confirmed(cause: Cause) -> str:
     gain, (lost, sd) = cause.gain, cause.missed
     if worse := [f"{name} {change:+z.1f} ± {se:.1f}" for name, (change, se) in gain.degraded.items()]:
         return f"with it they are predicted worse: log density of {several(worse)}"
@@ -146,7 +160,7 @@ def _why_not_confirmed(cause: result.Cause) -> str:
     return f"removed: log density {-lost:+z.1f} ± {sd:.1f}"
 
 
-def _taken_over(d: result.Diagnosis) -> list[str]:
+def _taken_over(d: Diagnosis) -> list[str]:
     """How to put the causes that the verdict rests on into the card: errors have their size, effects are fitted."""
     clear = {c.name: c for c in d.causes if c.sure and not c.ambiguous_with}
     known = [c for name, c in clear.items() if name in CATALOGUE and set(c.joint) <= set(clear)]
@@ -156,7 +170,7 @@ def _taken_over(d: result.Diagnosis) -> list[str]:
     return [sentence(k, names=[f'"{c.name}"' for c in some], fixed=fixed) for k, some in both.items() if some]
 
 
-def _unexplained(d: result.Diagnosis) -> list[str]:
+def _unexplained(d: Diagnosis) -> list[str]:
     """Along trajectories an effect may be true and fail its test, which is less powerful than that of the terms."""
     texts, none = [], "explains this" if d.tested is None else "passes its own test along the trajectories"
     for u in d.unknown:
@@ -170,7 +184,7 @@ def _unexplained(d: result.Diagnosis) -> list[str]:
     return texts
 
 
-def _terms(d: result.Diagnosis) -> list[str]:
+def _terms(d: Diagnosis) -> list[str]:
     texts = []
     for t in d.terms:
         past = "" if t.term.code is not None else " It depends on the past, which no effect file can state."
@@ -181,7 +195,7 @@ def _terms(d: result.Diagnosis) -> list[str]:
     return texts + ([sentence("write_terms")] if any(t.term.code is not None for t in d.terms) else [])
 
 
-def _noise(d: result.Diagnosis) -> list[str]:
+def _noise(d: Diagnosis) -> list[str]:
     texts, noise = [], d.noise
     if noise.of_innovations and noise.coloured:
         lags = [f"{name} ({noise.lag1[name]:.2f})" for name in noise.coloured]
@@ -206,7 +220,7 @@ def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str
     return texts
 
 
-def change_sentences(changes: Sequence[result.ParameterChange]) -> list[str]:
+def change_sentences(changes: Sequence[ParameterChange]) -> list[str]:
     texts = []
     for c in changes:
         begin, end = c.interval
@@ -225,7 +239,7 @@ def change_sentences(changes: Sequence[result.ParameterChange]) -> list[str]:
 # --- The verdict. It rests on causes that are confirmed, probable and of plausible size.
 
 
-def verdict_sentence(d: result.Diagnosis) -> str:
+def verdict_sentence(d: Diagnosis) -> str:
     """Whether the card's model is in error, and whether causes explain that."""
     sure = sum(c.sure for c in d.causes)
     if d.tested is not None:
@@ -234,7 +248,7 @@ def verdict_sentence(d: result.Diagnosis) -> str:
     return sentence(f"verdict_{key}", n=sure)
 
 
-def _flown_verdict(d: result.Diagnosis, tested: result.Tested, sure: int) -> str:
+def _flown_verdict(d: Diagnosis, tested: Tested, sure: int) -> str:
     """The same from trajectories alone: causes explain the error only if the residual is sensor noise."""
     sizes, where = "", ""
     if tested.beyond:  # on hold-out flights where there are any
@@ -256,7 +270,7 @@ def _rms(output: str, value: float) -> str:
     return "".join(amounts(STANDARD_CHANNELS[output].unit, value))
 
 
-def tested_sentences(d: result.Diagnosis) -> list[str]:
+def tested_sentences(d: Diagnosis) -> list[str]:
     if d.tested is None or not d.tested.outputs:
         return []
     of = d.tested.outputs
@@ -265,7 +279,7 @@ def tested_sentences(d: result.Diagnosis) -> list[str]:
     return [sentence("tested", listed=listed), *([sentence("tested_beyond", names=beyond)] if beyond else [])]
 
 
-def _unsure(d: result.Diagnosis) -> list[str]:
+def _unsure(d: Diagnosis) -> list[str]:
     """Causes on which the verdict does not rest, a sentence for each reason."""
     reasons: dict[str, list[str]] = {}
     for cause in (c for c in d.causes if not c.sure):
@@ -302,7 +316,7 @@ def diagnosis_screen(outcome: Outcome, card: Card, records: Sequence[FlightRecor
     return Screen(record, shown, doubts, list(dict.fromkeys([*steps, then])))
 
 
-def sure_table(causes: Sequence[result.Cause]) -> Table:
+def sure_table(causes: Sequence[Cause]) -> Table:
     """Each cause with its size, and what it gains on hold-out data."""
     column, rivals = columns_of(causes), "or these"
     columns = [
@@ -315,7 +329,7 @@ def sure_table(causes: Sequence[result.Cause]) -> Table:
     return Table(columns)
 
 
-def _held_out(c: result.Cause) -> str:
+def _held_out(c: Cause) -> str:
     """R² of the coefficient that gains most, before and after; without a gain in sight, what removal costs."""
     pairs = {n: (c.gain.before[n].r2, c.gain.after[n].r2) for n in c.gain.before if n in c.gain.after}
     gains = {n: (b - a, a, b) for n, (a, b) in pairs.items() if math.isfinite(a + b)}
@@ -324,7 +338,7 @@ def _held_out(c: result.Cause) -> str:
     return f"{-c.missed[0]:+z.0f} ± {c.missed[1]:.0f} nats if removed" if math.isfinite(c.missed[0]) else NONE
 
 
-def in_band_sentences(sizes: result.CausesInBand | None) -> tuple[str, ...]:
+def in_band_sentences(sizes: CausesInBand | None) -> tuple[str, ...]:
     if sizes is None:
         return ()
     band = band_text(sizes)
@@ -339,14 +353,14 @@ def in_band_sentences(sizes: result.CausesInBand | None) -> tuple[str, ...]:
     return (*texts, *([f"The band does not show {several(sizes.unseen)}."] if sizes.unseen else []))
 
 
-def causes_table(d: result.Diagnosis) -> Table:
+def causes_table(d: Diagnosis) -> Table:
     """A row for each cause, in files for each of its parameters, SI and radians, with scores on hold-out data."""
     column = columns_of(d.causes)
 
     def each(get: Callable[[Any], Any], *heads: Any, **how: Any) -> Column:
         return column(lambda c: [get(size) for size in c.parameters.values()], *heads, **how)
 
-    def change(c: result.Cause, name: str, kind: str) -> BeforeAfter | None:
+    def change(c: Cause, name: str, kind: str) -> BeforeAfter | None:
         both = c.gain.before, c.gain.after
         return BeforeAfter(*(getattr(of[name], kind) for of in both)) if name in c.gain.before else None
 
@@ -379,7 +393,7 @@ def causes_table(d: result.Diagnosis) -> Table:
     return table("causes", columns)
 
 
-def _sizes(c: result.Cause) -> list[str]:
+def _sizes(c: Cause) -> list[str]:
     texts = {name: size_text(s.mean, s.sd, s.unit).replace("c/V", "chords") for name, s in c.parameters.items()}
     return [f"{name} {text}" if len(texts) > 1 else text for name, text in texts.items()]
 
@@ -394,7 +408,7 @@ def probability(value: float) -> str:
     return "> 0.99" if value > 0.99 else f"{value:.2f}"
 
 
-def changes_table(d: result.Diagnosis) -> Table:
+def changes_table(d: Diagnosis) -> Table:
     """A row for each parameter that takes another value during the records, in files SI and radians."""
     column, sizes = columns_of(d.changes), []
     for n, head in (("before", "before"), ("after", "after"), ("size", "change")):
@@ -418,7 +432,7 @@ def changes_table(d: result.Diagnosis) -> Table:
     return table("changes", columns)
 
 
-def terms_table(d: result.Diagnosis) -> Table:
+def terms_table(d: Diagnosis) -> Table:
     """A row for each term that describes unexplained structure, in files SI and radians."""
     column, alike = columns_of(d.terms), lambda t: "; ".join(o.name for o, _ in t.others)
     columns = [
@@ -435,7 +449,7 @@ def terms_table(d: result.Diagnosis) -> Table:
     return table("terms", columns)
 
 
-def screen_table(rankings: Sequence[result.Ranking], d: result.Diagnosis) -> Table:
+def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
     """Every candidate of `rankings`: those of the first screening of each stage, the highest score first."""
     causes = {(c.stage, c.name) for c in d.causes}
     rows = [(r, s) for r in rankings for s in r.candidate_scores]
@@ -453,7 +467,7 @@ def screen_table(rankings: Sequence[result.Ranking], d: result.Diagnosis) -> Tab
     return table("screen", columns, stage=rankings[0].stage if rankings else "", beyond=beyond)
 
 
-def scores_frame(holdout: result.HoldoutScores) -> pd.DataFrame:
+def scores_frame(holdout: HoldoutScores) -> pd.DataFrame:
     """A row for each model, fit, manoeuvre, coefficient: scores of 5 Hz means, and the gain of the extended model."""
     rows = []
     for (model, data, k), scores in sorted(holdout.scores.items()):
@@ -468,7 +482,7 @@ def scores_frame(holdout: result.HoldoutScores) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def gain_table(view: result.DiagnosisView) -> Table | None:
+def gain_table(view: DiagnosisView) -> Table | None:
     """Scores of each coefficient on hold-out data; nothing where nothing was added."""
     if view.unseen_scores is None:
         return None
@@ -480,7 +494,7 @@ def gain_table(view: result.DiagnosisView) -> Table | None:
     return table("gain", columns, what=WORDS["splits"][view.diagnosis.split])
 
 
-def holdout_table(unseen: result.HoldoutScores) -> Table:
+def holdout_table(unseen: HoldoutScores) -> Table:
     """Both models on each hold-out manoeuvre, and whether the difference is significant."""
     rows = []
     for k, manoeuvre in enumerate(unseen.names):
@@ -498,7 +512,7 @@ def holdout_table(unseen: result.HoldoutScores) -> Table:
     return table("holdout", columns, worse=worse)
 
 
-def moves_table(view: result.View) -> Table:
+def moves_table(view: View) -> Table:
     rows = [(name, m, *for_people(m.unit)) for name, m in view.moves.items()]
     moved = [(m.after - m.before) / m.sd_after if m.sd_after > 0.0 else None for _, m, *_ in rows]
     columns = [
@@ -510,7 +524,7 @@ def moves_table(view: result.View) -> Table:
     return table("moves", columns)
 
 
-def residual_table(view: result.View) -> Table:
+def residual_table(view: View) -> Table:
     """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation, and calibration."""
     models = [("card's", view.card), *([("extended", view.extended)] if view.changed else [])]
     rows = [(f"{name}, {label}", fitted.composition[name]) for name in view.coefficients for label, fitted in models]
@@ -537,10 +551,10 @@ FROM_WHAT = {
 FEW = 4  # manoeuvres that are listed one by one in the open
 
 
-def diagnosis_page(view: result.DiagnosisView, context: parts.PageContext) -> Report:
+def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:
     """The page of a diagnosis, by coefficients (which has a `View`) or by trajectories alone."""
     outcome, card, d = context.result, context.card, view.diagnosis
-    whole, captions = cast("result.View | None", view if hasattr(view, "card") else None), dict(WORDS["captions"])
+    whole, captions = cast("View | None", view if hasattr(view, "card") else None), dict(WORDS["captions"])
     if whole is not None:
         panel, manoeuvre, _ = telling(whole)
         captions["found"] = captions["found"].format(panel.name, manoeuvre)
@@ -576,7 +590,7 @@ def diagnosis_page(view: result.DiagnosisView, context: parts.PageContext) -> Re
     )
 
 
-def _causes(view: result.DiagnosisView, context: parts.PageContext) -> list[Any]:
+def _causes(view: DiagnosisView, context: parts.PageContext) -> list[Any]:
     d = view.diagnosis
     shared = "; rivals (last column) share it" if any(c.ambiguous_with for c in d.causes) else ""
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in view.rankings]
@@ -590,7 +604,7 @@ def _causes(view: result.DiagnosisView, context: parts.PageContext) -> list[Any]
     ]
 
 
-def _stall(view: result.View | None, gallery: Gallery) -> Any:
+def _stall(view: View | None, gallery: Gallery) -> Any:
     if view is None or not view.stalls:
         return "CLmax and the stall angle are not given: they need lift coefficients."
     about = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
@@ -598,13 +612,13 @@ def _stall(view: result.View | None, gallery: Gallery) -> Any:
     return parts.stall_table(stalls, about), gallery("stall_models", "separation_models")
 
 
-def _flown(view: result.DiagnosisView, card: Card) -> Any:
+def _flown(view: DiagnosisView, card: Card) -> Any:
     if view.trajectories is None:
         return "No trajectories were simulated in this run."
     return trajectories(view.trajectories, card), trajectory_sentences(view.trajectories)
 
 
-def _gain(view: result.View, gallery: Gallery) -> tuple[Any, ...]:
+def _gain(view: View, gallery: Gallery) -> tuple[Any, ...]:
     whole = gain_table(view)
     if whole is None:
         return ("Nothing was added, so there is no gain to report.",)
@@ -612,7 +626,7 @@ def _gain(view: result.View, gallery: Gallery) -> tuple[Any, ...]:
     return whole, fold("The same, manoeuvre by manoeuvre", each) if len(view.names) > FEW else each, gallery("gain")
 
 
-def _open(d: result.Diagnosis, context: parts.PageContext) -> list[Any]:
+def _open(d: Diagnosis, context: parts.PageContext) -> list[Any]:
     listed, points, sensors = findings(d), context.result.test_points, context.result.consistency
     sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
     rivals = f"Rival explanations on this record: {'; '.join(sets)}."
@@ -634,7 +648,7 @@ def _open(d: result.Diagnosis, context: parts.PageContext) -> list[Any]:
     ]
 
 
-def _coefficients(view: result.View) -> list[Any]:
+def _coefficients(view: View) -> list[Any]:
     lateral = bool(set(LATERAL) & set(view.coefficients))
     what = "Coefficients measured and simulated by the card's and the extended model, and the controls,"
 

@@ -18,7 +18,15 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from bayes_aero.diagnosis.result import CausesInBand
-    from bayes_aero.inference import results
+    from bayes_aero.inference.results import (
+        ActiveBound,
+        FrequencyFit,
+        Identification,
+        Inseparable,
+        MleResult,
+        Posterior,
+        PriorConflict,
+    )
     from bayes_aero.parameter import Parameter
 
 LABELS = {"nuts": "NUTS", "ar1": "AR(1)", "buffet-ar1": "AR(1) with buffet"}
@@ -50,22 +58,22 @@ def ordered(names: Iterable[str], parameters: Iterable[Parameter]) -> list[str]:
     return sorted(names, key=lambda name: places.get(name, math.inf))
 
 
-def flown(run: results.Identification) -> list[str]:
+def flown(run: Identification) -> list[str]:
     """Fitted parameters with a known true value (simulated records)."""
     return [name for name in ordered(run.mle.names, run.mle.parameters) if name in (run.truth or {})]
 
 
-def unit_of(run: results.Identification, name: str) -> str:
+def unit_of(run: Identification, name: str) -> str:
     """The unit of a parameter of the model or of its noise."""
     return run.mle.units[run.mle.names.index(name)] if name in run.mle.names else "1"
 
 
-def chosen_posteriors(run: results.Identification) -> dict[str, results.Posterior]:
+def chosen_posteriors(run: Identification) -> dict[str, Posterior]:
     """Posteriors under the chosen noise model, by engine."""
     return {key: p for key, p in run.posteriors.items() if key != "white"}
 
 
-def white_posterior(run: results.Identification) -> results.Posterior | None:
+def white_posterior(run: Identification) -> Posterior | None:
     """The posterior under white noise, which is also the chosen one where white noise was chosen."""
     if "white" in run.posteriors or run.noise != "white":
         return run.posteriors.get("white")
@@ -76,7 +84,7 @@ def label_of(key: str) -> str:
     return LABELS.get(key, key)
 
 
-def methods(run: results.Identification) -> list[Method]:
+def methods(run: Identification) -> list[Method]:
     """Bounds, then posteriors, each with the estimates it has of the model's parameters."""
     mle = run.mle
     every = [
@@ -90,16 +98,16 @@ def methods(run: results.Identification) -> list[Method]:
     return every
 
 
-def bounds(mle: results.MleResult | results.FrequencyFit, sd: np.ndarray) -> dict[str, Estimate]:
+def bounds(mle: MleResult | FrequencyFit, sd: np.ndarray) -> dict[str, Estimate]:
     """Estimates of a fit with the standard deviations `sd`."""
     return {n: Estimate.normal(x, s) for n, x, s in zip(mle.names, mle.estimate, sd, strict=True)}
 
 
-def usable(mle: results.MleResult) -> bool:
+def usable(mle: MleResult) -> bool:
     return mle.status.name in ("CONVERGED", "AT_BOUND")
 
 
-def alone(run: results.Identification, name: str) -> dict[str, tuple[float, float, float]]:
+def alone(run: Identification, name: str) -> dict[str, tuple[float, float, float]]:
     """Estimate, Cramer-Rao bound and corrected bound of `name` by manoeuvre, from usable fits inside their bounds."""
     single = {}
     for manoeuvre, mle in run.alone.items():
@@ -109,13 +117,13 @@ def alone(run: results.Identification, name: str) -> dict[str, tuple[float, floa
     return {manoeuvre: numbers for manoeuvre, numbers in single.items() if np.all(np.isfinite(numbers))}
 
 
-def scatter(run: results.Identification, name: str) -> tuple[float, float] | None:
+def scatter(run: Identification, name: str) -> tuple[float, float] | None:
     """Of a parameter between manoeuvres fitted alone: sd, and the largest difference in its Cramer-Rao errors."""
     single = [numbers[0] for numbers in alone(run, name).values()]
     return (float(np.std(single, ddof=1)), _largest(run, name, 1)[0]) if len(single) > 1 else None
 
 
-def verdict(run: results.Identification) -> list[str]:
+def verdict(run: Identification) -> list[str]:
     """The findings of the run, one sentence or two each; missing parts of the run are omitted."""
     mle, chains = run.mle, posterior_sentences(run.posteriors)
     cautions = [sentence("caution", text=text) for text in mle.warnings()]
@@ -133,7 +141,7 @@ def verdict(run: results.Identification) -> list[str]:
     return [*signs, *_truth(run), *run.preparation, *sentences, *split_verdict(run), *cautions]
 
 
-def _by_key(run: results.Identification) -> dict[str, Method]:
+def _by_key(run: Identification) -> dict[str, Method]:
     return {method.key: method for method in methods(run)}
 
 
@@ -149,7 +157,7 @@ def _plain(value: float) -> str:
     return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
-def _colour(run: results.Identification) -> list[str]:
+def _colour(run: Identification) -> list[str]:
     """Residuals that are not white, the consequence for the bound, and that white posteriors only repeat the bound."""
     mle, by = run.mle, _by_key(run)
     median, name, worst, near = _spread(by["crb_corrected"].over(by["crb"]))
@@ -166,7 +174,7 @@ def _colour(run: results.Identification) -> list[str]:
     return sentences
 
 
-def disputed(run: results.Identification) -> dict[str, float]:
+def disputed(run: Identification) -> dict[str, float]:
     """Parameters whose posterior and maximum likelihood differ by more than `LIMIT` combined errors, and how far."""
     engines, by = chosen_posteriors(run), _by_key(run)
     if not engines or white_posterior(run) in engines.values():
@@ -176,7 +184,7 @@ def disputed(run: results.Identification) -> dict[str, float]:
     return {n: float(apart[n]) for n in ordered(apart, run.mle.parameters) if apart[n] > LIMIT}
 
 
-def _noise_model(run: results.Identification) -> list[str]:
+def _noise_model(run: Identification) -> list[str]:
     engines, by, beyond = chosen_posteriors(run), _by_key(run), disputed(run)
     if not engines or white_posterior(run) in engines.values():
         return []
@@ -195,7 +203,7 @@ def _noise_model(run: results.Identification) -> list[str]:
     return sentences
 
 
-def _agreement(run: results.Identification) -> list[str]:
+def _agreement(run: Identification) -> list[str]:
     crb, *others = methods(run)
     spans = {m.label: m.over(crb).values() for m in others}
     parts = [f"{label} {min(ratios):.2f} to {max(ratios):.2f} times" for label, ratios in spans.items()]
@@ -206,7 +214,7 @@ def _agreement(run: results.Identification) -> list[str]:
     return [sentence("intervals_agree", parts=parts, means=means)]
 
 
-def _truth(run: results.Identification) -> list[str]:
+def _truth(run: Identification) -> list[str]:
     true, names, held = run.truth or {}, flown(run), []
     if not names:
         return []
@@ -224,7 +232,7 @@ LITTLE = 0.6  # share of its prior's deviation above which the scatter is called
 MOST = 6  # parameters that are named one by one
 
 
-def between_manoeuvres(run: results.Identification) -> list[str]:
+def between_manoeuvres(run: Identification) -> list[str]:
     """Sentences on differences beyond `LIMIT` standard errors; none if the intervals explain them."""
     compared = [n for n in ordered(run.mle.names, run.mle.parameters) if len(alone(run, n)) > 1]
     beyond, counts = [], []
@@ -244,13 +252,13 @@ def between_manoeuvres(run: results.Identification) -> list[str]:
     return sentences + ([sentence("no_noise_model", numbers="; ".join(numbers))] if numbers else [])
 
 
-def _largest(run: results.Identification, name: str, kind: int) -> tuple[float, str, str]:
+def _largest(run: Identification, name: str, kind: int) -> tuple[float, str, str]:
     """Largest difference of two manoeuvres, in Cramer-Rao (1) or corrected (2) errors of the difference."""
     pairs = combinations(alone(run, name).items(), 2)
     return max((abs(x[0] - y[0]) / math.hypot(x[kind], y[kind]), a, b) for (a, x), (b, y) in pairs)
 
 
-def next_flight_sentences(run: results.Identification) -> list[str]:
+def next_flight_sentences(run: Identification) -> list[str]:
     """What the pooled manoeuvres say, and how little they can say; nothing where they were not pooled."""
     pooled = run.next_flight
     if pooled is None:
@@ -279,7 +287,7 @@ NOTABLE = 0.001  # a difference of correlations not worth a sentence below; our 
 SPLITS = {"random": "the random split", "block": "hold-out blocks", "manoeuvre": "a hold-out manoeuvre"}
 
 
-def split_verdict(run: results.Identification) -> list[str]:
+def split_verdict(run: Identification) -> list[str]:
     """Correlations by split, the leak of the random one, and hyperparameters that could not be sampled."""
     report = run.gp
     if report is None:
@@ -313,11 +321,11 @@ def split_verdict(run: results.Identification) -> list[str]:
 MIN_ERRORS = 3.0  # standard errors from zero from which a sign is wrong
 
 
-def conflict_sentences(conflicts: Sequence[results.PriorConflict]) -> list[str]:
+def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
     return [sentence("prior_conflict", c=c, unit=unit_behind(c.unit)) for c in conflicts]
 
 
-def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[results.PriorConflict]) -> tuple[str, ...]:
+def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -> tuple[str, ...]:
     """How far the posterior depends on contradicted priors, and which others do, by `prior_sensitivity`'s table."""
     names = [c.name for c in conflicts if c.name in table.index]
     if not names:
@@ -328,7 +336,7 @@ def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[results.PriorConf
     return (sentence("sensitivity", sizes=sizes, more=more),)
 
 
-def bound_sentences(bound: Sequence[results.ActiveBound]) -> list[str]:
+def bound_sentences(bound: Sequence[ActiveBound]) -> list[str]:
     sentences = []
     for b in bound:
         shifts = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.shifts.items())
@@ -338,7 +346,7 @@ def bound_sentences(bound: Sequence[results.ActiveBound]) -> list[str]:
     return sentences
 
 
-def inseparable_sentences(sets: Sequence[results.Inseparable]) -> list[str]:
+def inseparable_sentences(sets: Sequence[Inseparable]) -> list[str]:
     sentences = []
     for alike in sets:
         three = zip(alike.names, alike.units, alike.estimates, strict=True)
@@ -372,14 +380,14 @@ MEANS = 0.2  # difference of means, in standard deviations, up to which samplers
 SDS = 0.15  # relative difference of standard deviations up to which samplers agree; our choice
 
 
-def unfinished(posteriors: Mapping[str, results.Posterior]) -> list[str]:
+def unfinished(posteriors: Mapping[str, Posterior]) -> list[str]:
     """Posteriors that must not be used."""
     labels = {key: label_of(key) for key in posteriors} | {"white": "emcee under white noise"}
     doubtful = {labels[key]: p.status.value for key, p in posteriors.items() if p.status.name != "CONVERGED"}
     return [sentence("ended", what=f"The posterior by {x}", status=status) for x, status in doubtful.items()]
 
 
-def posterior_sentences(posteriors: Mapping[str, results.Posterior]) -> list[str]:
+def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
     sentences = unfinished(posteriors)
     for (a, first), (b, second) in combinations([pair for pair in posteriors.items() if pair[0] != "white"], 2):
         pairs = {n: (first.marginals[n], second.marginals[n]) for n in first.names if n in second.marginals}
@@ -393,11 +401,11 @@ def posterior_sentences(posteriors: Mapping[str, results.Posterior]) -> list[str
     return sentences
 
 
-def band_text(fit: results.FrequencyFit | CausesInBand) -> str:
+def band_text(fit: FrequencyFit | CausesInBand) -> str:
     return f"{number(fit.band[0], 2)} to {number(fit.band[1], 2)} Hz"
 
 
-def frequency_columns(names: Sequence[str], fit: results.FrequencyFit) -> list[Column]:
+def frequency_columns(names: Sequence[str], fit: FrequencyFit) -> list[Column]:
     """Estimates, both standard errors, and differences from the time domain."""
     key = f"frequency_{fit.method.replace(' ', '_')}"
     group = f"{fit.method}, {band_text(fit)}"
@@ -413,7 +421,7 @@ def frequency_columns(names: Sequence[str], fit: results.FrequencyFit) -> list[C
     return columns
 
 
-def frequency_sentences(fit: results.FrequencyFit) -> tuple[str, ...]:
+def frequency_sentences(fit: FrequencyFit) -> tuple[str, ...]:
     what = f"{fit.method.capitalize()} in the frequency domain, {band_text(fit)}, {fit.lines} frequencies"
     if not fit.converged:
         return (f"{what}: the parameters are not determined there; use a wider band.",)
