@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,9 +13,6 @@ from bayes_aero.cli import terminal
 from bayes_aero.errors import InputError
 from bayes_aero.jobs.options import ReadingOptions
 from bayes_aero.simulate import Manoeuvre, SimulatedNoise
-
-if TYPE_CHECKING:
-    pass
 
 
 @terminal.with_options

@@ -75,9 +75,7 @@ def diagnose(
     causes, beyond = without_conditional(causes, beyond)
     pairs = [selection.cancelling(x, [c.name for c in causes if c.stage == stage]) for stage, x in stages.items()]
     of_sensors = searched.sensors.minor if searched.sensors else ()
-    same: dict[str, Any] = {
-        n: getattr(searched, n) for n in ("noise", "not_testable", "sensors", "changes", "terms", "unreliable")
-    }
+    same = ("noise", "not_testable", "sensors", "changes", "terms", "unreliable")
     return result.Diagnosis(
         verdict=result.Verdict.UNDECIDED,
         causes=causes,

@@ -198,8 +198,8 @@ class Diagnosis:
 
     def judged(self, **changes: Any) -> Diagnosis:
         d = replace(self, **changes)
-        found = verdict_of(d.causes, d.left, d.tested, d.noise, d.absorbed)
-        return replace(d, verdict=Verdict.UNRELIABLE if d.unreliable else found)
+        verdict = verdict_of(d.causes, d.left, d.tested, d.noise, d.absorbed)
+        return replace(d, verdict=Verdict.UNRELIABLE if d.unreliable else verdict)
 
     @property
     def by_coefficients(self) -> bool:

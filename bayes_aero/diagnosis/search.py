@@ -114,6 +114,7 @@ class Search:
 
     def contradiction(self, sensors: Extension | None) -> tuple[Departure, ...]:
         """Where sensors, known errors taken out, contradict each other by more than a simulation may be off."""
+        # A failure of this check is reported by `record_checks`, which compares the sensors in every job.
         if self.settings.anyway:
             return ()
         errors = None if sensors is None else errors_of_path(sensors)
@@ -149,8 +150,8 @@ class Search:
             for name in denied
         ]
         extensions = sensors, withdrawn(model, (*left.replaced, *forms.replaced), forms.sizes)
-        found = self._result(full, extensions, forms, outliers, notes, (*failures, *failed), left.changes)
-        return replace(found, unreliable=unreliable)
+        searched = self._result(full, extensions, forms, outliers, notes, (*failures, *failed), left.changes)
+        return replace(searched, unreliable=unreliable)
 
     def _result(
         self,
@@ -253,8 +254,8 @@ class Search:
         if still := taken_as_zero(flights):
             notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
         extension = withdrawn(extension, forms.replaced, forms.sizes)
-        found = self._result(extension.state.full, [extension], forms, outliers, notes, (*failures, *failed))
-        return replace(found, unreliable=unreliable)
+        searched = self._result(extension.state.full, [extension], forms, outliers, notes, (*failures, *failed))
+        return replace(searched, unreliable=unreliable)
 
 
 # --- The two stages of a diagnosis by coefficients, and what each has to say of the other's finding.

@@ -41,13 +41,13 @@ def check_screen(report: CheckReport, failures: Sequence[str] = ()) -> Screen:
     columns = Column([*errors], page="error of a sensor"), Column([*errors.values()], page="size ± standard error")
     shown += [Table(columns)] if errors else []
     untestable = [sentence("not_testable_count", n=len(report.not_testable))] if report.not_testable else []
-    found = parts.consistency_sentences(report.consistency, corrects=False)[1:]
+    disagreement = parts.consistency_sentences(report.consistency, corrects=False)[1:]
     given = " ".join([*(r.path for r in report.records), "--model", report.card.path or report.card.name])
     then = [sentence("next_diagnose" if "diagnose" in able else "next_fly", given=given)] if report.usable else []
     places = [f"{r.path}@{p.part}" for r in report.records for p in r.proposals if p.what == "manoeuvre"]
     several_in_one = len(places) > len(report.records)
     parts_of = [sentence("give_these", listed=parts.several(places, parts.MOST_FILES))] if several_in_one else []
-    doubts = [*problems[parts.MOST_FAULTS :], *failures, *claims(doubts_of(found)), *unable]
+    doubts = [*problems[parts.MOST_FAULTS :], *failures, *claims(doubts_of(disagreement)), *unable]
     doubts += [*report.left_out, *untestable]
     return Screen(record, shown, doubts, [*mend, *parts_of, *then])
 
@@ -248,10 +248,8 @@ def effect_blocks(effect: Mapping[str, Any]) -> list[Block]:
         "source": effect["source"],
     }
     for p in effect["parameters"]:
-        name, prior = (
-            f"{p['name']} [{plain_unit(p['unit'])}]",
-            f"{p['prior']['family']} {p['prior']['text']}\n({p['prior']['source']})",
-        )
+        name = f"{p['name']} [{plain_unit(p['unit'])}]"
+        prior = f"{p['prior']['family']} {p['prior']['text']}\n({p['prior']['source']})"
         bounds = " to ".join(map(numbers, p["bounds"]))
         least, most = numbers(p["least_worth_modelling"]), numbers(p["largest_plausible"])
         rows.append((name, p["description"], numbers(p["neutral"]), bounds, prior, f"{least} to {most}"))
