@@ -15,12 +15,16 @@ os.environ["JAX_ENABLE_X64"] = "1"
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)
 
-# With the newer emitters of XLA, programs that take the derivatives of all samples at once need up to six times as long
-# on a processor. A flag that XLA does not know ends the process: these versions know it.
-if "xla_cpu_use_fusion_emitters" not in (_flags := os.environ.get("XLA_FLAGS", "")) and version("jaxlib").startswith(
-    ("0.10.", "0.11.")
-):
-    os.environ["XLA_FLAGS"] = f"{_flags} --xla_cpu_use_fusion_emitters=false".strip()
+# A flag that XLA does not know ends the process: these versions know the first, all know the second. With the newer
+# emitters, programs that take the derivatives of all samples at once need up to six times as long on a processor. A
+# loop whose turns touch less memory than the threshold, 1 kB by default, is compiled as a whole. In pieces a filter
+# takes four times as long and its gradient nine times, because their calls take longer than products of small matrices.
+_flags = os.environ.get("XLA_FLAGS", "")
+if "xla_cpu_use_fusion_emitters" not in _flags and version("jaxlib").startswith(("0.10.", "0.11.")):
+    _flags += " --xla_cpu_use_fusion_emitters=false"
+if "xla_backend_extra_options" not in _flags:
+    _flags += " --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000"  # 1 MB
+os.environ["XLA_FLAGS"] = _flags.strip()
 
 __version__ = "0.1.0"
 

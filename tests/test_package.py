@@ -222,12 +222,16 @@ def test_records_of_other_names_run_the_compiled_programs(diagnosed, card):
     assert "<lambda>" in traced, "tracing was not listened to"
 
 
+WHOLE_LOOPS = " --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000"
+
+
 @pytest.mark.parametrize(("flags", "added"), [
-    ("--xla_cpu_multi_thread_eigen=false", " --xla_cpu_use_fusion_emitters=false"),
-    ("--xla_cpu_use_fusion_emitters=true", ""),
+    ("--xla_cpu_multi_thread_eigen=false", " --xla_cpu_use_fusion_emitters=false" + WHOLE_LOOPS),
+    ("--xla_cpu_use_fusion_emitters=true", WHOLE_LOOPS),
+    ("--xla_cpu_use_fusion_emitters=true" + WHOLE_LOOPS.replace("1000000", "1024"), ""),
 ])  # fmt: skip
-def test_the_former_emitters_are_asked_for_unless_flags_say_otherwise(flags, added):
-    """And the compiler knows the flag: an unknown one would end the process at the first program."""
+def test_former_emitters_and_whole_loops_are_asked_for_unless_flags_say_otherwise(flags, added):
+    """And the compiler knows the flags: an unknown one would end the process at the first program."""
     code = "import os, bayes_aero, jax; print(os.environ['XLA_FLAGS']); print(float(jax.numpy.ones(2).sum()))"
     environment = os.environ | {"XLA_FLAGS": flags}
     ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)

@@ -37,7 +37,6 @@ from bayes_aero.processes import compiled_at
 Theta = Float[Array, " k"]
 PerState = Float[Array, " s"]
 PerOutput = Float[Array, " c"]
-NoisePoint = tuple[Theta, PerState, PerOutput]
 Square = Float[Array, "s s"]
 States = Float[Array, "w n s"]
 
@@ -55,36 +54,22 @@ def discrete_noise(transition: Square, density: PerState, dt: Any) -> Square:
     """Discrete process-noise covariance (s, s): white noise of spectral `density` (s,) over a sample of `dt` seconds.
     The integral of Phi(t) W Phi(t)' by Simpson's rule, with the square root of the transition at mid-sample. It is
     exact to the third power of dt, the order at which a gust changes the pitch rate within a sample."""
-    W, identity = jnp.diag(density), jnp.eye(len(density))
+    identity = jnp.eye(len(density))
     change = transition - identity
     half = identity + 0.5 * change - 0.125 * change @ change
-    return dt / 6.0 * (transition @ W @ transition.T + 4.0 * half @ W @ half.T + W)
-
-
-def discrete_noise_slopes(
-    transition: Square, decayed: Float[Array, "s m"], density: PerState, by: Float[Array, "s m"], dt: Any
-) -> Float[Array, "s s m"]:
-    """Derivative of `discrete_noise` in m directions: `decayed` of the transition's diagonal, `by` of the density."""
-    change = transition - jnp.eye(len(density))
-    half = jnp.eye(len(density)) + 0.5 * change - 0.125 * change @ change
-    both = transition[:, None] * transition[None] + 4.0 * half[:, None] * half[None]
-    by_density = (both.reshape(-1, len(density)) @ by).reshape(*both.shape[:2], -1)
-    full, middle = density[:, None] * transition.T, density[:, None] * half.T
-    half_slope = 0.5 * middle - 0.125 * change @ middle
-    cross = (change[:, None] * middle.T[None]).reshape(-1, len(density)) @ decayed
-    side = decayed[:, None] * (full + 4.0 * half_slope)[:, :, None] - 0.5 * cross.reshape(by_density.shape)
-    by_noise = jnp.eye(len(density))[:, :, None] * by[:, None]
-    return dt / 6.0 * (by_density + by_noise + side + jnp.moveaxis(side, 0, 1))
+    whole = (transition * density) @ transition.T + 4.0 * (half * density) @ half.T
+    return dt / 6.0 * (whole + identity * density)
 
 
 def _each_sample(f: Callable[..., Any]) -> Callable[..., Any]:
     return jax.vmap(jax.vmap(f))
 
 
-def value_and_slope(f: Callable[[Array], Array], x: PerState) -> tuple[Array, Array]:
-    """f and its derivative by the state (the last axis) from one evaluation; of f and its `jacfwd` the compiler would
-    evaluate f twice, because it does not merge their loops."""
-    return jax.vmap(lambda e: jax.jvp(f, (x,), (e,)), out_axes=(None, -1))(jnp.eye(len(x)))
+def value_and_slope(f: Callable[[Array], Array], x: Float[Array, "*n s"]) -> tuple[Array, Array]:
+    """f and its derivative by the state (the last axis) from one evaluation, of one sample or many; of f and its
+    `jacfwd` the compiler would evaluate f twice, because it does not merge their loops."""
+    along = lambda e: jax.jvp(f, (x,), (jnp.broadcast_to(e, x.shape),))  # noqa: E731
+    return jax.vmap(along, out_axes=(None, -1))(jnp.eye(x.shape[-1]))
 
 
 def correct(
@@ -97,9 +82,9 @@ def correct(
     """Correction of the state (s, *m) by the outputs of one sample, the covariance after it, and the innovations
     (c, *m). `P`: covariance of the predicted state; `C`: derivative of the outputs by it; `residual`: measured minus
     predicted, with its derivatives in further columns; `variance`: of the measurement noise; `used`: which outputs were
-    measured, by default those that are not NaN. Also returned: the variances of the innovations, and `used`. The loop
-    over the outputs is unrolled, which is faster for so few."""
-    used = jnp.isfinite(residual) if used is None else used
+    measured, by default those whose residual is not NaN. Also returned: the variances of the innovations, and `used`.
+    The loop over the outputs is unrolled, which is faster for so few."""
+    used = jnp.isfinite(residual if residual.ndim == 1 else residual[:, 0]) if used is None else used
     column = lambda x: x.reshape(x.shape + (1,) * (residual.ndim - 1))  # noqa: E731
 
     def one(carry, output):
@@ -176,46 +161,59 @@ def filter_inputs(
     )
 
 
+def _recursion(outputs: Any, motion: Any, dt: Any) -> Callable[[tuple[Array, Square], Any], Any]:
+    """The step of every filter: from the predicted state and its covariance, and a row of data with the variance of its
+    noise, to those a sample later and `Filtered`. `outputs(x, row)`: measured minus predicted (NaN: missing), and the
+    derivative of the outputs by the state; `motion(x, row)`: the state a sample later, its derivative, and the density
+    of the process noise. States and residuals may have derivatives in further columns."""
+
+    @partial(jax.checkpoint, prevent_cse=False)  # to store each step takes as long or longer, and longer to compile
+    def one_sample(predicted, given):
+        (x, P), (row, variance) = predicted, given
+        residual, C = outputs(x, row)
+        correction, P_estimate, e, S, used = correct(P, C, residual, variance)
+        ahead, transition, density = motion(x + correction, row)
+        sample = Filtered(x, P, x + correction, P_estimate, transition, e, S, used)
+        return (ahead, predicted_covariance(transition, P_estimate, density, dt)), sample
+
+    return one_sample
+
+
 def kalman_filter(
-    system: System,
-    rows: FilterInputs,
-    F: PerState,
-    names: tuple[str, ...],
-    substeps: int = 1,
-    keep: Callable[[Filtered], Any] = lambda sample: sample,
-) -> Any:
-    """Filter one segment; what `keep` takes of each sample's `Filtered`, by default all of it. `F`: process noise by
-    state in addition to the system's own, unit of the state per square root of a second; `names` of the outputs in the
-    order of `rows.measured`. Innovations and their variances are in units of the recorded channels. Otherwise a scale
-    error that makes the corrected channels smaller would increase the likelihood."""
+    system: System, rows: FilterInputs, F: PerState, names: tuple[str, ...], substeps: int = 1
+) -> Filtered:
+    """Filter one segment. `F`: process noise by state in addition to the system's own, unit of the state per square
+    root of a second; `names` of the outputs in the order of `rows.measured`. Innovations and their variances are in
+    units of the recorded channels. Otherwise a scale error that makes the corrected channels smaller would increase the
+    likelihood."""
 
-    def one_sample(carry, row):
-        x, P = carry
-        now, then, z, variance, scale = row
+    def outputs(x, row):
+        now, _, z = row
         y, C = value_and_slope(lambda x: outputs_at(system, x, now, names), x)
-        correction, P_estimate, e, S, used = correct(P, C, z - y, variance)
-        estimate = x + correction
-        step = lambda x: advance(system, x, now, then, rows.dt, substeps)  # noqa: E731
-        ahead, transition = value_and_slope(step, estimate)
-        density = F**2 + system.noise_density(estimate, now)
-        sample = Filtered(x, P, estimate, P_estimate, transition, e / scale, S / scale**2, used)
-        return (ahead, predicted_covariance(transition, P_estimate, density, rows.dt)), keep(sample)
+        return z - y, C
 
-    by_sample = (rows.now, rows.then, rows.measured, rows.variance, rows.scale)
-    return jax.lax.scan(one_sample, (rows.begin, rows.covariance), by_sample)[1]
+    def motion(x, row):
+        now, then, _ = row
+        ahead = value_and_slope(lambda x: advance(system, x, now, then, rows.dt, substeps), x)
+        return *ahead, F**2 + system.noise_density(x, now)
+
+    by_sample = (rows.now, rows.then, rows.measured)
+    step = _recursion(outputs, motion, rows.dt)
+    found = jax.lax.scan(step, (rows.begin, rows.covariance), (by_sample, rows.variance))[1]
+    return _recorded(found, rows.scale)
+
+
+def _recorded(found: Filtered, scale: Float[Array, "*w n c"]) -> Filtered:
+    """The same with innovations in recorded units; `scale`: derivatives of corrected outputs by the recorded ones."""
+    return found._replace(innovation=found.innovation / scale, variance=found.variance / scale**2)
 
 
 def filter_segments(
-    flown: SegmentTrajectories,
-    theta: Theta,
-    start_deviation: PerState,
-    F: PerState,
-    R: PerOutput,
-    keep: Callable[[Filtered], Any] = lambda sample: sample,
-) -> Any:
+    flown: SegmentTrajectories, theta: Theta, start_deviation: PerState, F: PerState, R: PerOutput
+) -> Filtered:
     """Every segment by the extended Kalman filter, from its measured initial state; `R` of attached flow."""
     prepared = prepare(flown, theta)
-    each = jax.vmap(lambda rows: kalman_filter(prepared.sensed, rows, F, flown.outputs, flown.substeps, keep))
+    each = jax.vmap(lambda rows: kalman_filter(prepared.sensed, rows, F, flown.outputs, flown.substeps))
     return each(filter_inputs(flown, prepared, start_deviation, R))
 
 
@@ -236,14 +234,17 @@ def neighbour_correlation(filtered: Filtered) -> Float[np.ndarray, " c"]:
     return np.sum(now * after, axis=(0, 1)) / np.where(power > 0.0, power, 1.0)
 
 
-def log_density_terms(e: PerOutput, S: PerOutput, used: Bool[Array, " c"]) -> Float[Array, ""]:
-    """Log density of one sample's innovations `e` of variance `S`."""
-    return -0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
-
-
 def log_likelihood(filtered: Filtered) -> Float[Array, ""]:
     """Log density of all measured samples, each given those before it."""
-    return jnp.sum(jax.vmap(log_density_terms)(filtered.innovation, filtered.variance, filtered.used))
+    e, S = filtered.innovation, filtered.variance
+    return -0.5 * jnp.sum(jnp.where(filtered.used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
+
+
+def innovations_density(
+    flown: SegmentTrajectories, theta: Theta, start_deviation: PerState, F: PerState, R: PerOutput
+) -> Float[Array, ""]:
+    """Log likelihood of `filter_segments`; `flown` is `nameless`, to share compiled programs."""
+    return log_likelihood(filter_segments(flown, theta, start_deviation, F, R))
 
 
 def smooth(filtered: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s"]]:
@@ -262,104 +263,6 @@ def smooth(filtered: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s
     rows = (*rows, filtered.predicted[1:], filtered.predicted_covariance[1:])
     _, (x, P) = jax.lax.scan(back, last, rows, reverse=True)
     return jnp.concatenate([x, last[0][None]]), jnp.concatenate([P, last[1][None]])
-
-
-# --- Log likelihood of the innovations, with a fast gradient for samplers.
-
-
-def innovations_density(
-    flown: SegmentTrajectories, theta: Theta, start_deviation: PerState, F: PerState, R: PerOutput
-) -> Float[Array, ""]:
-    """Log likelihood of `filter_segments`, and its gradient; `flown` is `nameless`, to share compiled programs."""
-    return _density((theta, F, R), flown, start_deviation)
-
-
-@eqx.filter_custom_vjp
-def _density(point: NoisePoint, flown: SegmentTrajectories, start_deviation: PerState) -> Float[Array, ""]:
-    theta, F, R = point
-    terms = lambda sample: log_density_terms(sample.innovation, sample.variance, sample.used)  # noqa: E731
-    return jnp.sum(filter_segments(flown, theta, start_deviation, F, R, terms))
-
-
-@_density.def_fwd
-def _forward(_perturbed: Any, point: NoisePoint, flown: SegmentTrajectories, start_deviation: PerState):
-    return jax.value_and_grad(_density_along)(point, flown, start_deviation)
-
-
-@_density.def_bwd
-def _backward(slope: NoisePoint, cotangent: Array, *_: Any):
-    return jax.tree.map(lambda g: cotangent * g, slope)
-
-
-def _density_along(point: NoisePoint, flown: SegmentTrajectories, start_deviation: PerState) -> Float[Array, ""]:
-    # Reverse differentiation of a filter stores all intermediate values of every sample. Here the filter runs once.
-    # Outputs, motion and their first and second derivatives by the state are then computed for all samples at once
-    # along its path, so that the loop over the samples, and its reverse, contains only products of small matrices.
-    # The filter linearised along the path is exact to first order in the change of the path with the parameters: so
-    # are value and gradient, while the path itself is not differentiated.
-    theta, F, R = point
-    still = jax.lax.stop_gradient(point)
-    path = filter_segments(
-        flown, still[0], start_deviation, *still[1:], lambda sample: (sample.predicted, sample.state)
-    )
-    before, after = jax.lax.stop_gradient(path)
-    prepared = prepare(flown, theta)
-    rows = filter_inputs(flown, prepared, start_deviation, R)
-    by_sample = (
-        _derivatives_along(prepared.sensed, rows, flown, before, after),
-        before,
-        after,
-        rows.variance,
-        rows.scale,
-    )
-
-    def of_segment(rows: FilterInputs, by_sample: Any) -> Array:
-        @jax.checkpoint  # the reverse pass computes each step again: storing costs more
-        def one_sample(carry, row):
-            x, P, total = carry
-            ((residual, matrix, matrix_slope), (ahead, transition, transition_slope), density), *row = row
-            before, after, variance, scale = row
-            dx = x - before
-            residual, matrix = residual - jax.lax.stop_gradient(matrix) @ dx, matrix + matrix_slope @ dx
-            correction, P, e, S, used = correct(P, matrix, residual, variance)
-            dx = x + correction - after
-            ahead, transition = ahead + jax.lax.stop_gradient(transition) @ dx, transition + transition_slope @ dx
-            P = predicted_covariance(transition, P, F**2 + density[0] + density[1] @ dx, rows.dt)
-            return (ahead, P, total + log_density_terms(e / scale, S / scale**2, used)), None
-
-        return jax.lax.scan(one_sample, (rows.begin, rows.covariance, jnp.zeros(())), by_sample)[0][2]
-
-    return jnp.sum(jax.vmap(of_segment)(rows, by_sample))
-
-
-def _derivatives_along(system: System, rows: FilterInputs, flown: SegmentTrajectories, before: Array, after: Array):
-    """Measured minus predicted outputs `before` a correction, the next state and the noise density `after` it; with
-    their derivatives by the state and, of outputs and motion, the second ones."""
-    dt = jnp.broadcast_to(rows.dt[:, None], before.shape[:2])
-
-    def functions(system: System) -> tuple[Callable[[Array], Array], ...]:
-        outputs = _each_sample(lambda x, u: outputs_at(system, x, u, flown.outputs))
-        motion = _each_sample(lambda x, now, then, dt: advance(system, x, now, then, dt, flown.substeps))
-        density = _each_sample(system.noise_density)
-        return (
-            lambda x: outputs(x, rows.now),
-            lambda x: motion(x, rows.now, rows.then, dt),
-            lambda x: density(x, rows.now),
-        )
-
-    def by_state(f: Callable[[Array], Array], x: States) -> tuple[Array, Array]:
-        along = lambda e: jax.jvp(f, (x,), (jnp.broadcast_to(e, x.shape),))  # noqa: E731
-        return jax.vmap(along, out_axes=(None, -1))(jnp.eye(x.shape[-1]))
-
-    outputs_of, motion_of, density_of = functions(system)
-    (y, matrix), moved = by_state(outputs_of, before), by_state(motion_of, after)
-    outputs_of, motion_of, density_held = functions(jax.lax.stop_gradient(system))
-    second = lambda f, x: by_state(lambda x: by_state(f, x)[1], x)[1]  # noqa: E731
-    slopes = second(outputs_of, before), second(motion_of, after), by_state(density_held, after)[1]
-    matrix_slope, transition_slope, density_slope = jax.lax.stop_gradient(slopes)
-    return (
-        (rows.measured - y, matrix, matrix_slope), (*moved, transition_slope), (density_of(after), density_slope),
-    )  # fmt: skip
 
 
 # --- Innovations of the linearised filter, and their derivatives by process and measurement noise.
@@ -389,94 +292,69 @@ def disturbances_along(
 
 def linear_innovations(
     lin: LinearisedFilter, noise: Disturbances, dt: Float[Array, " w"]
-) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c"]]:
-    """Innovations, their derivatives in d directions at constant gains; variances. Missing: 0 and 1. Recorded units."""
-    innovations, S = jax.vmap(_one_segment)(lin, noise, dt)
-    e, slopes = innovations[..., :1], innovations[..., 1:]
+) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c"], Filtered]:
+    """Innovations, their derivatives in d directions at constant gains; variances. Missing: 0 and 1. Recorded units.
+    Also the filter, whose states and innovations, SI, have their derivatives in further columns."""
+
+    def of_segment(lin, noise, dt):
+        begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1), noise.begin
+        return jax.lax.scan(_linear_recursion(dt), begin, _by_sample(lin, noise))[1]
+
+    found = jax.vmap(of_segment)(lin, noise, dt)
+    e, slopes = found.innovation[..., :1], found.innovation[..., 1:]
     slopes = slopes - e * lin.scale_drive / lin.scale[..., None]
-    used = jnp.isfinite(lin.residual)
-    S = jnp.where(used, S / lin.scale**2, 1.0)
-    return jnp.concatenate([e, slopes], axis=-1) / lin.scale[..., None], S
+    S = jnp.where(found.used, found.variance / lin.scale**2, 1.0)
+    return jnp.concatenate([e, slopes], axis=-1) / lin.scale[..., None], S, found
 
 
-def _one_segment(lin: LinearisedFilter, noise: Disturbances, dt: Any):
-    s = lin.before.shape[-1]
-    identity = jnp.eye(s)
+def _by_sample(lin: LinearisedFilter, noise: Disturbances) -> Any:
+    """Rows of a segment for `_linear_recursion`; what is of the initial state is replaced by what is of samples."""
+    lin = lin._replace(begin=lin.before, begin_drive=lin.before)
+    return (lin, noise._replace(begin=noise.density)), noise.variance
 
-    def one_sample(carry, row):
-        mean, P = carry  # (s, 1 + d): the predicted state and its derivatives
-        before, after, ahead, Phi, drive, residual, C, direct, density, variance, decay = row
-        used_now = jnp.isfinite(residual)
-        deviation = mean.at[:, 0].add(-before)
-        e = jnp.concatenate([jnp.where(used_now, residual, 0.0)[:, None], -direct], axis=1) - C @ deviation
-        correction, P, e, S, _ = correct(P, C, e, variance, used_now)
-        autonomous, decayed = decay > 0.0, jnp.exp(-decay * dt)
-        Phi = jnp.where((identity > 0.0) & autonomous, jnp.diag(decayed), Phi)
-        ahead = jnp.where(autonomous, decayed * after, ahead)
-        mean = Phi @ (mean + correction).at[:, 0].add(-after)
-        mean = mean + jnp.concatenate([ahead[:, None], drive], axis=1)
-        return (mean, predicted_covariance(Phi, P, density, dt)), (e, S)
 
-    begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1)
-    rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.drive, lin.residual, lin.matrix, lin.direct)
-    rows = (*rows, noise.density, noise.variance, noise.decay)
-    return jax.lax.scan(one_sample, (begin, noise.begin), rows)[1]
+def _linear_recursion(dt: Any) -> Callable[[tuple[Array, Square], Any], Any]:
+    """The step along a path. The motion of states that are random processes is their decay."""
+
+    def outputs(x, row):
+        lin, _ = row
+        residual = jnp.concatenate([lin.residual[:, None], -lin.direct], axis=1)
+        return residual - lin.matrix @ x.at[:, 0].add(-lin.before), lin.matrix
+
+    def motion(x, row):
+        lin, noise = row
+        autonomous, decayed = noise.decay > 0.0, jnp.exp(-noise.decay * dt)
+        Phi = jnp.where((jnp.eye(len(x)) > 0.0) & autonomous, jnp.diag(decayed), lin.transition)
+        ahead = jnp.where(autonomous, decayed * lin.after, lin.ahead)
+        ahead = jnp.concatenate([ahead[:, None], lin.drive], axis=1)
+        return ahead + Phi @ x.at[:, 0].add(-lin.after), Phi, noise.density
+
+    return _recursion(outputs, motion, dt)
 
 
 def noise_derivatives(
-    lin: LinearisedFilter, noise: Disturbances, slopes: Disturbances, dt: Float[Array, " w"]
+    lin: LinearisedFilter, noise: Disturbances, slopes: Disturbances, dt: Float[Array, " w"], filtered: Filtered
 ) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c m"]]:
-    """Derivatives of innovations and variances by the noise in m directions, along a held path; recorded units."""
-    de, dS = jax.vmap(_slopes_of_segment)(lin, noise, slopes, dt)
-    used = jnp.isfinite(lin.residual)[..., None]
-    unit = lin.scale[..., None]
+    """Derivatives of innovations and variances by the noise in m directions, along a held path; recorded units.
+    `filtered`: of `linear_innovations`. The derivatives of the steps are computed for all samples at once."""
+    moved = ("begin_drive", "drive", "direct", "scale_drive")
+    lin = lin._replace(**{name: getattr(lin, name)[..., :0] for name in moved})  # without directions of parameters
+
+    def of_segment(lin, noise, slopes, dt, x, P):
+        def step(lin, x, P, noise):
+            ahead, sample = _linear_recursion(dt)((x, P), ((lin, noise), noise.variance))
+            return ahead, (sample.innovation[:, 0], sample.variance)
+
+        (by_sample, noise), _ = _by_sample(lin, noise)
+        slope = lambda lin, *at: jax.linearize(partial(step, lin), *at)[1]  # noqa: E731
+        rows = jax.vmap(slope)(by_sample, x, P, noise), slopes._replace(begin=slopes.density)
+        begin = jnp.zeros((*x.shape[1:], slopes.begin.shape[-1])), slopes.begin
+        return jax.lax.scan(lambda d, row: jax.vmap(row[0], -1, -1)(*d, row[1]), begin, rows)[1]
+
+    path = filtered.predicted[..., :1], filtered.predicted_covariance
+    de, dS = jax.vmap(of_segment)(lin, noise, slopes, dt, *path)
+    used, unit = filtered.used[..., None], lin.scale[..., None]
     return jnp.where(used, de / unit, 0.0), jnp.where(used, dS / unit**2, 0.0)
-
-
-def _slopes_of_segment(lin: LinearisedFilter, noise: Disturbances, slopes: Disturbances, dt: Any):
-    """The derivative of `_one_segment` in closed form; directions are the last axis of every product. Forward
-    differentiation has separate small products for each direction and takes twice as long."""
-    s, m = lin.before.shape[-1], slopes.begin.shape[-1]
-
-    def one_sample(carry, row):
-        mean, P, dmean, dP = carry
-        before, after, ahead, Phi, residual, C, (density, variance, decay), towards = row
-        used_now = jnp.isfinite(residual)
-        e = jnp.where(used_now, residual, 0.0) - C @ (mean - before)
-
-        def one(carry, output):
-            correction, P, dmean, dP = carry
-            h, y, r, used, dr = output
-            y, dy = y - h @ correction, -(h @ dmean)
-            Ph, dPh = P @ h, jnp.sum(dP * h[:, None], axis=1)
-            S, dS = h @ Ph + r, h @ dPh + dr
-            K = jnp.where(used, Ph / S, 0.0)
-            dK = jnp.where(used, (dPh - K[:, None] * dS) / S, 0.0)
-            dP = dP - dK[:, None] * Ph[:, None] - K[:, None, None] * dPh
-            after = (correction + K * y, P - jnp.outer(K, Ph), dmean + dK * y + K[:, None] * dy, dP)
-            return after, (dy, dS)
-
-        rows = (C, e, variance, used_now, towards.variance)
-        (correction, P, dmean, dP), innovations = jax.lax.scan(one, (jnp.zeros(s), P, dmean, dP), rows, unroll=True)
-        autonomous, decayed = decay > 0.0, jnp.exp(-decay * dt)
-        dkept = jnp.where(autonomous, -dt * decayed, 0.0)[:, None] * towards.decay
-        Phi = jnp.where((jnp.eye(s) > 0.0) & autonomous, jnp.diag(decayed), Phi)
-        ahead = jnp.where(autonomous, decayed * after, ahead)
-        estimate = mean + correction
-        dmean = Phi @ dmean + dkept * estimate[:, None]
-        turned = P @ Phi.T
-        dP = (Phi @ dP.reshape(s, s * m)).reshape(s, s, m)
-        dP = jnp.moveaxis(dP, 1, 0).reshape(s, s * m)
-        dP = (Phi @ dP).reshape(s, s, m)  # its first two axes are the other way round, and it is symmetric
-        side = dkept[:, None] * turned[:, :, None]
-        dP = dP + side + jnp.moveaxis(side, 0, 1) + discrete_noise_slopes(Phi, dkept, density, towards.density, dt)
-        P = Phi @ turned + discrete_noise(Phi, density, dt)
-        return (Phi @ (estimate - after) + ahead, 0.5 * (P + P.T), dmean, dP), innovations
-
-    begin = (lin.begin, noise.begin, jnp.zeros((s, m)), slopes.begin)
-    rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.residual, lin.matrix)
-    rows = (*rows, (noise.density, noise.variance, noise.decay), slopes._replace(begin=jnp.zeros(len(lin.before))))
-    return jax.lax.scan(one_sample, begin, rows)[1]
 
 
 # --- Filter linearised along its own path: derivatives of all samples at once, then products of small matrices.
@@ -622,34 +500,46 @@ def run_observer(flown: SegmentTrajectories, theta: Theta, by: Observer) -> Obse
     """Innovations of every segment by an observer with given gains."""
     prepared = prepare(flown, theta)
 
-    def predict(begin, now, then, true, gain, dt):
-        def one_sample(x, rows):
-            now, then, z, K = rows
-            e = z - outputs_at(prepared.sensed, x, now, flown.outputs)
-            e = jnp.where(jnp.isfinite(z), e, 0.0)
-            estimate = x + K @ e
-            return advance(prepared.sensed, estimate, now, then, dt, flown.substeps), Observed(e, x, estimate)
+    def predict(begin, rows, gain, dt):
+        def innovation(x, row):
+            now, _, z = row
+            return jnp.where(jnp.isfinite(z), z - outputs_at(prepared.sensed, x, now, flown.outputs), 0.0)
 
-        return jax.lax.scan(one_sample, begin, (now, then, true, gain))[1]
+        ahead = lambda x, row: advance(prepared.sensed, x, row[0], row[1], dt, flown.substeps)  # noqa: E731
+        return _observe(begin, rows, gain, innovation, ahead)
 
-    now, then = prepared.drives, later(prepared.drives, flown.held)
-    rows = (prepared.initial_states, now, then, flown.only_inside(prepared.true), by.gain, jnp.asarray(flown.dt))
-    return jax.vmap(predict)(*rows)
+    rows = prepared.drives, later(prepared.drives, flown.held), flown.only_inside(prepared.true)
+    return jax.vmap(predict)(prepared.initial_states, rows, by.gain, jnp.asarray(flown.dt))
+
+
+def _observe(begin: Array, rows: Any, gain: Float[Array, "n s c"], innovation: Any, ahead: Any) -> Observed:
+    """An observer of one segment. A row of `rows` belongs to a sample; `innovation(x, row)` gives the innovation of a
+    state, `ahead(x, row)` the state a sample later. Directions are the last axis of both where they have any."""
+
+    def one_sample(x, row):
+        row, K = row
+        e = innovation(x, row)
+        return ahead(x + K @ e, row), Observed(e, x, x + K @ e)
+
+    return jax.lax.scan(one_sample, begin, (rows, gain))[1]
 
 
 def observer_derivatives(lin: LinearisedFilter, by: Observer) -> Float[Array, "w n c d"]:
     """Derivatives of the innovations of an observer in the d directions of `lin`, linearised along its path."""
-    rows = (lin.transition, lin.drive, lin.matrix, lin.direct, jnp.isfinite(lin.residual), by.gain)
-    return jax.vmap(_observed)(lin.begin_drive, *rows)
+    rows = (lin.transition, lin.drive, lin.matrix, lin.direct, jnp.isfinite(lin.residual))
+    return _linear_observer(lin.begin_drive, rows, by)
 
 
-def _observed(begin, *rows):
-    def one_sample(dx, row):
-        Phi, drive, C, direct, used, K = row
-        de = jnp.where(used[:, None], -direct - C @ dx, 0.0)
-        return Phi @ (dx + K @ de) + drive, de
+def _linear_observer(begin: Float[Array, "w s d"], rows: tuple[Array, ...], by: Observer) -> Float[Array, "w n c d"]:
+    """Innovations by transition, drive, matrix and direct effect of each sample, and whether outputs were measured."""
 
-    return jax.lax.scan(one_sample, begin, rows)[1]
+    def innovation(dx, row):
+        _, _, C, direct, used = row
+        return jnp.where(used[:, None], -direct - C @ dx, 0.0)
+
+    ahead = lambda dx, row: row[0] @ dx + row[1]  # noqa: E731
+    observe = lambda begin, rows, gain: _observe(begin, rows, gain, innovation, ahead)  # noqa: E731
+    return jax.vmap(observe)(begin, rows, by.gain).innovation
 
 
 def derivatives_by_input(
@@ -696,4 +586,4 @@ def input_innovations(
     matrix = jnp.where(jnp.isfinite(known.matrix), known.matrix, 0.0)
     true = flown.only_inside(prepare(flown, theta).true)
     begin = jnp.zeros((len(flown.index), known.matrix.shape[-1], before.shape[-1]))
-    return jax.vmap(_observed)(begin, known.transition, drive, matrix, direct, jnp.isfinite(true), by.gain)
+    return _linear_observer(begin, (known.transition, drive, matrix, direct, jnp.isfinite(true)), by)

@@ -122,8 +122,8 @@ def _evaluate_held_gains(flown, path, point, start_deviation, k, s, means):
 
     noise, slopes = jax.vmap(lambda t: jax.jvp(noise_at, (point,), (t,)), out_axes=(None, -1))(unit[others])
     dt = jnp.asarray(flown.dt)
-    both, S = linear_innovations(lin, noise, dt)
-    de_others, dS_others = noise_derivatives(lin, noise, slopes, dt)
+    both, S, found = linear_innovations(lin, noise, dt)
+    de_others, dS_others = noise_derivatives(lin, noise, slopes, dt, found)
     de = jnp.zeros((*S.shape, len(point))).at[..., means].set(both[..., 1:]).at[..., others].set(de_others)
     dS = jnp.zeros_like(de).at[..., others].set(dS_others)
     return _scores(both[..., 0], S, de, dS, path.used)
@@ -155,7 +155,7 @@ def fit_prediction_error(
 ) -> PredictionErrorResult:
     """Fit all segments together from the noise `F` (s,) and `R` (c,), SI; consistent estimates where not `exact`."""
     F, free, dynamics = np.asarray(F, float), flown.dynamics.free, flown.dynamics
-    problem, k, s = _Innovations(flown.nameless, F > 0.0, priors), len(free), len(F)
+    problem, k, s = _Innovations(flown, F > 0.0, priors), len(free), len(F)
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
     logs = np.log(np.maximum(np.concatenate([F, R]), MIN_NOISE))
     point = np.concatenate([theta, np.maximum(logs, problem.bounds[k:, 0])])
@@ -198,7 +198,7 @@ class _Innovations(Problem):
         if priors:
             normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
             self.mean[:k], self.precision[:k] = normals[:, 0], normals[:, 1] ** -2.0
-        self.flown, self.sizes = flown, (jnp.asarray(start_deviation(flown)), k, s)
+        self.flown, self.sizes = flown.nameless, (jnp.asarray(start_deviation(flown)), k, s)
         self._last: tuple[bytes, float, Filtered] | None = None
 
     def prior_cost(self, point: Vector) -> float:

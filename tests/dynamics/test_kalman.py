@@ -139,8 +139,10 @@ def drawn():
 
 def test_the_derivative_by_the_noise_is_that_of_forward_differentiation(drawn):
     lin, noise, slopes = drawn
-    e, variance = jax.jit(kalman.noise_derivatives)(lin, noise, slopes, STEPS)
-    along = lambda slope: jax.jvp(lambda noise: kalman.linear_innovations(lin, noise, STEPS), (noise,), (slope,))[1]
+    filtered = jax.jit(kalman.linear_innovations)(lin, noise, STEPS)[2]
+    e, variance = jax.jit(kalman.noise_derivatives)(lin, noise, slopes, STEPS, filtered)
+    innovations = lambda noise: kalman.linear_innovations(lin, noise, STEPS)[:2]
+    along = lambda slope: jax.jvp(innovations, (noise,), (slope,))[1]
     by_jax = jax.jit(jax.vmap(along, in_axes=-1, out_axes=-1))(slopes)
     np.testing.assert_allclose(e, by_jax[0][..., 0, :], atol=1e-11)
     np.testing.assert_allclose(variance, by_jax[1], atol=1e-11)
