@@ -29,6 +29,7 @@ from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import NO_AIRCRAFT, Axis
 from bayes_aero.physics.filters import differentiate_joined
 from bayes_aero.physics.kinematics import PATH_CORE, PATH_NEEDS, RATES, STRAIGHT, integral, path_outputs, path_rates
+from bayes_aero.processes import blas_threads
 from bayes_aero.residuals.base import FlightPathError, rolled_unseen
 
 
@@ -165,6 +166,7 @@ def check_sensors(
     return extension if extension is first or nats_gained(first, extension) > -full.settings.decisive else first
 
 
+@blas_threads(0)
 def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
     """Sensor errors and winds that the flight path asks for; `InputError` without one, or of too short a manoeuvre."""
     if why := no_flight_path(records, card):
@@ -219,7 +221,7 @@ class Blocks:
             parts = max(1, int(length * seconds / wanted + 0.5))
             number[fold] = begin + np.arange(length) * parts // length
             begin += parts
-        self.state, self.number = state, number
+        self.state, self.number = state.wide, number
         self._inside, self._own, self.freedom = number >= 0, number[number >= 0], int(number.max())
         self.left = self._centred(state.left())
         self.weight = 1.0 / np.maximum(np.mean(self.left**2, axis=0), 1e-300)
@@ -331,6 +333,7 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
 
 def _information_of_errors(state: SelectionState) -> tuple[list[Effect], np.ndarray, np.ndarray, np.ndarray]:
     """Errors of one parameter that move the flight path, their columns, information, and what is left for them."""
+    state = state.wide
     single = [e for e in state.full.candidates if len(e.parameters) == 1 and not e.scan and e.sizes]
     effects = [e for e in single if np.any(state.S[:, :, state.full.own_columns(e.name)])]
     columns = state.full.columns([e.parameters[0].name for e in effects])

@@ -385,7 +385,7 @@ def stand_ins(
 
 def _output(extension: selection.Extension, name: str, step: CandidateScore | None = None) -> str:
     """The output that an addition, or a candidate with this step, moves most, over what is left there."""
-    state = extension.state
+    state = extension.state.wide
     columns, away = state.full.own_columns(name), state.departure
     if name not in state.active and step is not None:
         columns, away = np.array(step.columns, int), dict(zip(step.columns, step.step, strict=False))

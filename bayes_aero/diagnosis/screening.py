@@ -338,7 +338,7 @@ def screen(
 ) -> ScreeningResult:
     """Fit every candidate beside all active parameters; draw noise-only replicates (`nulls`) under the present model.
     `without` takes one addition out first: it is then a candidate, and the others are told `apart` from it."""
-    state = state if without is None else state.without([without])
+    state = state.wide if without is None else state.wide.without([without])
     fit, residual, blocks = state.best, state.left(), [b for b in state.blocks if b[0] not in state.active]
     colour, stretch = autocorrelation_of(residual, state.folds), state.responses.stretch
     if not blocks:

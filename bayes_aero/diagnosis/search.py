@@ -303,7 +303,7 @@ def search_in_stages(
             break
         denied, sensors, aerodynamics = [*denied, name], fewer, other
     # Errors that the coefficients named and the flight path feels: it must be judged with them, not beside them.
-    felt = {block[0] for block in sensors.state.blocks}
+    felt = {block[0] for block in sensors.state.wide.blocks}
     shared = tuple(name for name in aerodynamics.state.active if name in felt)
     if sensors.state.active and shared:
         sizes = {p: aerodynamics.sizes[p] for e in shared for p in aerodynamics.state.full.parameters_of(e)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import combinations, product
 from typing import Any, NamedTuple
 
@@ -23,6 +23,7 @@ from bayes_aero.inference.covariance import log_density, log_score_gain, median_
 from bayes_aero.inference.results import Scores, score
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
+from bayes_aero.processes import side_by_side
 from bayes_aero.progress import Progress, quiet
 
 OF_NOISE = 0.5  # largest share of an addition that noise may make: beyond, it would take over its regressor's own slope
@@ -122,7 +123,7 @@ def _offsets_instead(state: SelectionState, winner: CandidateScore) -> tuple[str
     # What differs between manoeuvres alone (a trim, a flap, the throttle) explains any offset that is left there. So an
     # addition must be identified within manoeuvres, with the same sign, and offsets must not be decisively better.
     if state.of_coefficients:
-        moved_ones = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
+        moved_ones = np.any(state.wide.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
         reached = [n for n, moves in zip(state.outputs, moved_ones, strict=True) if moves]
     else:  # in flight all whose constant the card has; none along the flight path
         card = {p for e in state.full.base for p in state.full.parameters_of(e)} & set(state.full.model.names)
@@ -165,6 +166,7 @@ def noise_shares(state: SelectionState) -> dict[str, float]:
 def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bool) -> SelectionStep:
     """The most explaining candidate, not `barred`, that is beyond chance, matters, and predicts folds left out."""
     settings, noise = state.settings, screening.SharedNoise(seed, state.folds, len(state.outputs), state.settings)
+    state = state.wide
     ranking, able = screen(state, nulls=first, noise=noise), list[CandidateScore]()
     leaders: dict[str, CandidateScore] = {}
     for standing in (s for s in ranking.candidate_scores if s.effect not in barred):
@@ -226,8 +228,8 @@ def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
     theta = state.theta.copy()
     at = state.full.own_columns(winner.effect)
     if winner.value is not None:
-        scan = next(s for s in state.scans if s.effect == winner.effect and s.value == winner.value)
-        theta[state.full.columns([scan.parameter])[0]] = winner.value
+        (scan,) = (e.scan for e in state.full.candidates if e.name == winner.effect)
+        theta[state.full.columns([p for p, values in scan.items() if winner.value in values])] = winner.value
     else:
         bounds = np.array([state.full.model.free[i].bounds for i in at])
         theta[at] = np.clip(theta[at] + np.array(winner.step), bounds[:, 0], bounds[:, 1])
@@ -341,7 +343,7 @@ def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
 
 def _taken_up(extension: Extension, column: int) -> dict[str, Size]:
     """Sizes of the candidates that the parameter of a column hides, by name."""
-    state, fit, scale = extension.state, extension.state.best, extension.state.settings.least_score
+    state, fit, scale = extension.state.wide, extension.state.best, extension.state.settings.least_score
     fewer, hidden = fit.columns[fit.columns != column], {}
     S, weight = state.scaled[state.inside], 1.0 / fit.variance
 
@@ -503,6 +505,7 @@ def noise_effect(state: SelectionState) -> tuple[Float[np.ndarray, " k"], ...]:
     return bias, spread
 
 
+@lru_cache(maxsize=4)
 def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
     """Lowest and highest bias of each addition's parameters by recording noise of any size that residuals permit."""
     # It is linear in the channels' variances, which sum up to no more than is left of an output; noise may be `SLOW`
@@ -513,18 +516,17 @@ def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
     covariance = inverse(fit.normal)[np.isin(fit.columns, additions)]
     keep = state.kept_outputs
     S, weight = state.scaled[state.inside][:, :, fit.columns], 1.0 / fit.variance
-    biases, added = [], []
-    for name, sd in recording_noise(flights).items():
-        channel = flights.channels[name]
-        if not sd > 0.0:
-            continue
-        noisy = flights.channels | {name: channel + sd * rng.standard_normal(flights.n)}
-        residual, slopes = state.responses.with_channels(noisy).linearise(state.theta, at)
+    channels, sds = flights.channels, {name: sd for name, sd in recording_noise(flights).items() if sd > 0.0}
+
+    def made(noisy: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """What noise of one channel adds to the outputs' variances, and its bias of the additions."""
+        residual, slopes = state.responses.with_channels(channels | noisy).linearise(state.theta, at)
         dr = ((residual[:, keep] - state.residual) / state.noise_growth)[state.inside]
-        dS = np.zeros_like(S)
-        dS[:, :, parameters] = (slopes[:, keep] / state.noise_growth[:, :, None])[state.inside] - S[:, :, parameters]
-        added.append(np.mean(dr**2, axis=0) * weight)
-        biases.append(covariance @ np.einsum("mck,mc,c->k", dS, dr, weight))
+        dS = (slopes[:, keep] / state.noise_growth[:, :, None])[state.inside] - S[:, :, parameters]
+        return np.mean(dr**2, axis=0) * weight, covariance[:, parameters] @ np.tensordot(dr * weight, dS, 2)
+
+    noisy = [{name: channels[name] + sd * rng.standard_normal(flights.n)} for name, sd in sds.items()]
+    added, biases = zip(*side_by_side(made, noisy), strict=True) if noisy else ((), ())
     if not np.any(added):
         return {}
     scale = np.maximum(np.max(added, axis=1), 1e-12)  # a channel that adds to no output has no bias either

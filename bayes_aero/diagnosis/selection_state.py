@@ -343,8 +343,10 @@ class Products:
     @classmethod
     def of(cls, residual: Rows, S: Float[np.ndarray, "m c k"], folds: Sequence[slice]) -> Products:
         """Each fold is a contiguous stretch of blocks."""
-        data = np.moveaxis(np.concatenate([residual[:, :, None], S], axis=2), 1, 0)
-        gram = np.stack([data[:, fold].transpose(0, 2, 1) @ data[:, fold] for fold in folds])
+        used = np.flatnonzero(np.any(S != 0.0, axis=(0, 1)))  # the others' products are zero
+        data = np.moveaxis(np.concatenate([residual[:, :, None], S[:, :, used]], axis=2), 1, 0)
+        gram, at = np.zeros((len(folds), S.shape[1], S.shape[2] + 1, S.shape[2] + 1)), np.append(0, used + 1)
+        gram[:, :, at[:, None], at] = [data[:, fold].transpose(0, 2, 1) @ data[:, fold] for fold in folds]
         return cls(gram, np.array([fold.stop - fold.start for fold in folds]))
 
     def over(self, folds: Sequence[int]) -> Products:
@@ -470,7 +472,7 @@ class Component:
         return f"{self.coefficient} over {self.channel}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SelectionState:
     """Parameters `theta` (all of the full model's), residuals and sensitivities there, of the outputs of one stage."""
 
@@ -494,6 +496,7 @@ class SelectionState:
     apart: tuple[str, ...] = ()  # coefficients with a constant of their own in every manoeuvre, among the nuisance
     components: tuple[Component, ...] = ()  # candidates in place of effects
     chosen: tuple[Component, ...] = ()  # components that are in
+    narrow: bool = False  # only the sensitivities to what is in were computed, a third of the time of all
 
     @property
     def settings(self) -> DiagnosisSettings:
@@ -507,6 +510,13 @@ class SelectionState:
     def least_share(self, share: float) -> float:
         """A least share of the variance of means over `FILTER_STEP` samples, as of these: noise averages out."""
         return share * self.responses.averaged / FILTER_STEP
+
+    @cached_property
+    def wide(self) -> SelectionState:
+        """The same with the sensitivities to every candidate."""
+        if self.components or self.chosen or not self.narrow:
+            return self
+        return linearised(self.full, self.responses, self.outputs, self.theta, self.active, self.apart, self)
 
     @cached_property
     def kept_outputs(self) -> list[int]:
@@ -629,42 +639,43 @@ def linearised(
     like: SelectionState | None = None,
 ) -> SelectionState:
     """The state at `theta`, with a free offset in every manoeuvre of coefficients `apart` and noise as in `like`."""
-    same = like if like is not None and like.responses is responses and like.outputs == outputs else None
-    inflation, scanned = 1.0 if like is None else like.variance_inflation, {}
-    if same is not None and np.array_equal(same.theta, theta):  # not computed again
-        residual, S, begin = same.residual, same.S[:, :, : len(theta)], len(theta) + same.nuisance
-        scanned = {scan: same.S[:, :, [begin + k]] for k, scan in enumerate(same.scans)}
-    else:
-        keep = [responses.outputs.index(name) for name in outputs]
-        residual, S = (x[:, keep] for x in responses.linearise(theta))
-    constants = [constants_of_manoeuvres(full, responses.manoeuvre, outputs, S, name) for name in apart]
-    offsets, scans, tried = responses.offsets(theta, outputs), [], []
-    lacking = [e for e in full.candidates if e.name not in active]
+    keep = [responses.outputs.index(name) for name in outputs]
+    residual, S = (x[:, keep] for x in responses.linearise(theta))
+    lacking, scanned = [e for e in full.candidates if e.name not in active], {}
     for scan in [Scan(e.name, p, value) for e in lacking for p, values in e.scan.items() for value in values]:
-        scans.append(scan)
-        if scan not in scanned:
-            there, at = theta.copy(), int(full.columns([scan.parameter])[0])
-            there[at] = scan.value
-            change = (residual - responses.residuals(there, outputs)) / (scan.value - theta[at])
-            scanned[scan] = change[:, :, None]
-        tried.append(scanned[scan])
+        there, at = theta.copy(), int(full.columns([scan.parameter])[0])
+        there[at] = scan.value
+        scanned[scan] = ((residual - responses.residuals(there, outputs)) / (scan.value - theta[at]))[:, :, None]
+    same = like if like is not None and like.responses is responses and like.outputs == outputs else None
+    growth = np.ones_like(residual) if same is None else same.noise_growth
+    inflation = 1.0 if like is None else like.variance_inflation
+    folds = folds_of(responses.manoeuvre, responses.seconds, full.settings)
+    none = Products.of(residual, S[:, :, :0], folds)
+    bare = SelectionState(
+        full, responses, outputs, theta, residual, S, growth, folds, none, *full.prior(range(len(theta)), theta),
+        active, tuple(scanned), 0, inflation, apart,
+    )  # fmt: skip
+    return _with_nuisances(bare, list(scanned.values()))
+
+
+def _with_nuisances(state: SelectionState, tried: Sequence[np.ndarray] = ()) -> SelectionState:
+    """A state of parameters alone with the columns beyond them, those `tried` of its scans given."""
+    full, responses, residual, S = state.full, state.responses, state.residual, state.S
+    constants = [constants_of_manoeuvres(full, responses.manoeuvre, state.outputs, S, name) for name in state.apart]
+    offsets = responses.offsets(state.theta, state.outputs)
     S = np.concatenate([S, offsets, *constants, *tried, np.zeros((*residual.shape, 1))], axis=2)
     S = np.where(np.abs(S) < LARGEST, S, 0.0)
-    noise_growth = np.ones_like(residual) if same is None else same.noise_growth
-    folds = folds_of(responses.manoeuvre, responses.seconds, full.settings)
-    mean, precision = full.prior(range(len(theta)), theta)
-    of_scans = [int(full.columns([s.parameter])[0]) for s in scans]
+    of_scans = [int(full.columns([s.parameter])[0]) for s in state.scans]
     # Nearly flat: the constants add up to about zero, and the model's own constant stays what it is in the mean. A
     # deviation is ten times that which moves the outputs by the deviation of their residuals.
     free = np.zeros(offsets.shape[2])
     wide = np.concatenate([free, *(_flat(ones, residual) for ones in constants)])
-    mean = np.concatenate([mean, np.zeros(len(wide)), mean[of_scans], [0.0]])
-    precision = np.concatenate([inflation * np.concatenate([precision, wide, precision[of_scans]]), [1.0]])
-    products = Products.of(residual / noise_growth, S / noise_growth[:, :, None], folds)
-    return SelectionState(
-        full, responses, outputs, theta, residual, S, noise_growth, folds, products, mean, precision, active,
-        tuple(scans), len(wide), inflation, apart,
-    )  # fmt: skip
+    mean = np.concatenate([state.mean, np.zeros(len(wide)), state.mean[of_scans], [0.0]])
+    precision = np.concatenate([state.precision, wide, state.precision[of_scans]])
+    precision = np.append(state.variance_inflation * precision, 1.0)
+    growth, folds = state.noise_growth, folds_of(responses.manoeuvre, responses.seconds, full.settings)
+    products = Products.of(residual / growth, S / growth[:, :, None], folds)
+    return replace(state, S=S, products=products, folds=folds, mean=mean, precision=precision, nuisance=len(wide))
 
 
 def _flat(constants: Float[np.ndarray, "m c o"], residual: Rows) -> Float[np.ndarray, " o"]:
@@ -689,9 +700,23 @@ def constants_of_manoeuvres(
 def moved(
     state: SelectionState, theta: Vector, active: tuple[str, ...] | None = None, apart: tuple[str, ...] | None = None
 ) -> SelectionState:
-    """The state at other parameters, with other effects in or coefficients `apart`, with the same noise growth."""
+    """The `narrow` state at other parameters, with other effects in or coefficients `apart`; the same noise growth."""
     active, apart = state.active if active is None else active, state.apart if apart is None else apart
-    return linearised(state.full, state.responses, state.outputs, theta, active, apart, state)
+    full = state.full
+    if np.array_equal(state.theta, theta) and (not state.narrow or set(active) <= set(state.active)):
+        residual, S = state.residual, state.S[:, :, : len(theta)]  # not computed again
+    else:
+        names = [p for name in (*full.base, *active) for p in full.parameters_of(name) if p in full.model.places]
+        at = full.columns(names)
+        residual, slopes = (x[:, state.kept_outputs] for x in state.responses.linearise(theta, at))
+        S = np.zeros((*residual.shape, len(theta)))
+        S[:, :, at] = slopes
+    mean, precision = full.prior(range(len(theta)), theta)
+    bare = replace(
+        state, theta=theta, residual=residual, S=S, mean=mean, precision=precision, active=active, apart=apart,
+        scans=(), nuisance=0, components=(), chosen=(), narrow=True,
+    )  # fmt: skip
+    return _with_nuisances(bare)
 
 
 REFITS = 8

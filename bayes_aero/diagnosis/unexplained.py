@@ -22,9 +22,18 @@ from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.components import SAME, TermColumn, Trial, columns_of, holdout_gain_of, in_batches, likeness
 from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm, Size, UnexplainedStructure
 from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed, truncated
-from bayes_aero.diagnosis.selection_state import Component, DiagnosisSettings, Products, SelectionState, moved, refitted
+from bayes_aero.diagnosis.selection_state import (
+    Component,
+    DiagnosisSettings,
+    Products,
+    SelectionState,
+    inverse,
+    moved,
+    refitted,
+)
 from bayes_aero.effect import Kind
 from bayes_aero.inference.covariance import nats
+from bayes_aero.processes import side_by_side
 from bayes_aero.progress import Progress, quiet
 
 
@@ -104,7 +113,7 @@ def _constants(state: SelectionState) -> set[str]:
     """Parameters of the model that are a constant of a coefficient with offsets between manoeuvres."""
     # What these explain as well is no change, for the drag due to lift follows an offset of the lift.
     outputs = [state.outputs.index(name) for name in state.apart]
-    S = state.S[:, outputs][:, :, : len(state.theta)]
+    S = state.wide.S[:, outputs][:, :, : len(state.theta)]
     constant = np.any((np.ptp(S, axis=0) <= 1e-6 * np.abs(S).max(axis=0)) & (np.abs(S).max(axis=0) > 0.0), axis=0)
     return {name for name, flat in zip(state.full.model.names, constant, strict=True) if flat}
 
@@ -240,9 +249,11 @@ def terms_of_coefficient(
     """Terms that describe what is left of a coefficient as well as the `functions` by which it was found."""
     columns, terms, settings = columns_of(state, coefficient), list[SelectedTerm](), state.settings
     for number in range(settings.terms_most):
-        best, _, trial = leader(state, columns, [f.column for f in terms])
+        best, _ = leader(state, columns, [f.column for f in terms])
         if nats(best.gain, best.inflation) < settings.ambiguous or best.share < settings.unnamed_share:
             break
+        taken = components_of(terms)
+        trial = state.with_components([c.component for c in columns if c.component not in taken], taken)
         at = trial.component_columns[trial.components.index(best.column.component)]
         wider = trial.fit(trial.wider(at))
         colour = screening.autocorrelation_of(trial.left(wider), trial.folds)
@@ -275,36 +286,40 @@ def reconsidered(state: SelectionState, terms: Sequence[SelectedTerm]) -> list[S
 
 def leader(
     state: SelectionState, columns: Sequence[TermColumn], chosen: Sequence[TermColumn]
-) -> tuple[SelectedTerm, float, SelectionState]:
-    """The best term beside those chosen, the nats that it explains, and the state in which the others stand."""
-    labels = {c.component.label for c in chosen}
+) -> tuple[SelectedTerm, float]:
+    """The best term beside those chosen, and the nats that it explains."""
+    components, labels = [c.component for c in chosen], {c.component.label for c in chosen}
     rest = [c for c in columns if c.component.label not in labels]
-    trial = state.with_components([c.component for c in rest], [c.component for c in chosen])
-    fit = trial.best
-    projected = screening.PartialledRegression(trial, fit, trial.component_columns)
-    place, bread = np.array([p[0] for p in projected.place]), np.array([b[0, 0] for b in projected.bread])
-    right, n = projected.right(trial.left())[place], float(trial.products.count.sum())
-    gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
+    start = state.with_components((), components)
+    fit, growth, inside = start.best, start.noise_growth[:, :, None], start.inside[:, None, None]
+    weight, left, B = 1.0 / fit.variance, start.left(), np.where(inside, start.scaled[:, :, fit.columns], 0.0)
+    X = np.where(inside, np.concatenate([c.component.basis for c in rest], axis=2) / growth, 0.0)
+    on = np.any(X != 0.0, axis=(0, 2))  # of hundreds of terms only inner products, over the outputs that they reach
+    cross = np.einsum("mck,c,mcj->kj", B[:, on], weight[on], X[:, on], optimize=True)
+    made = inverse(fit.normal) @ cross  # what the parameters of the model make of each term
+    change = (2.0 * cross - np.einsum("mck,c,mcl->kl", B, weight, B, optimize=True) @ made) * made
+    information = np.einsum("mcj,c,mcj->j", X[:, on], weight[on], X[:, on], optimize=True) - change.sum(axis=0)
+    right = np.tensordot(left * weight, X, 2) - np.tensordot(left * weight, B, 2) @ made
+    n = float(np.count_nonzero(start.inside))
+    gains = -n * np.log1p(-np.minimum(right**2 / information / n, 1.0 - 1e-9))
     order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
-    best = trial.fit(trial.wider(trial.component_columns[order[0]]))
-    colour = screening.autocorrelation_of(trial.left(best), trial.folds)
+    best = Trial(state, rest[order[0]].component, components)
+    colour = screening.autocorrelation_of(best.state.left(best.fit), state.folds)
     # Two terms are told from each other by the residual along the difference of what they explain.
-    made = projected.P[:, :, place[order]] * (bread * right)[order]
-    apart = np.concatenate([made[:, :, :1], made[:, :, :1] - made[:, :, 1:]], axis=2)
-    along = screening.inflation_along(apart, projected.weight, trial.folds, colour)
+    explain = (X[:, :, order] - B @ made[:, order]) * (right / information)[order]
+    apart = np.concatenate([explain[:, :, :1], explain[:, :, :1] - explain[:, :, 1:]], axis=2)
+    along = screening.inflation_along(apart, weight, state.folds, colour)
     lost = np.array([0.0, *map(nats, gains[order[0]] - gains[order[1:]], along[1:])])
     weights = weights_of(lost, [rest[j].term.cost for j in order])
     equal = [i for i in range(len(order)) if lost[i] < state.settings.ambiguous]
     first = max(equal, key=lambda i: weights[i])
     others = sorted(((rest[order[i]].term, float(weights[i])) for i in equal if i != first), key=lambda x: -x[1])
-    column, inflation = trial.component_columns[order[first]], float(along[0])
-    wide = trial.wider(column)
-    explained = nats(fit.deviance - trial.fit(wide).deviance, inflation)
+    trial, inflation = best if first == 0 else Trial(state, rest[order[first]].component, components), float(along[0])
     term = SelectedTerm(
-        rest[order[first]], holdout_deviance_gain(trial, wide), trial.share_of(column), inflation,
-        float(weights[first]), tuple(others), float("nan"), len(columns),
+        rest[order[first]], trial.gain, trial.share, inflation, float(weights[first]), tuple(others), float("nan"),
+        len(columns),
     )  # fmt: skip
-    return term, explained, trial
+    return term, nats(fit.deviance - trial.fit.deviance, inflation)
 
 
 def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.ndarray, " j"]:
@@ -486,7 +501,7 @@ class _Model:
         model = self
         while True:
             inside = [item for item in items if item in (*model.state.active, *model.state.apart)]
-            trials = [model.less(item) for item in (*inside, *model.terms)]
+            trials = side_by_side(model.less, (*inside, *model.terms))
             rivals = [replace(x, functions=tuple(curves)) for x in trials[: len(inside)]] + trials[len(inside) :]
             gains = [rival.beyond(model) for rival in rivals]
             if not gains or max(gains) <= 0.0:
@@ -500,7 +515,8 @@ class _Model:
 
     def in_place_of(self, causes: Sequence[str]) -> list[_Model]:
         """For each cause the model with terms in its place; kept, for it is asked for again."""
-        self._tried.update({name: self.with_terms_for(name) for name in causes if name not in self._tried})
+        new = [name for name in causes if name not in self._tried]
+        self._tried.update(zip(new, side_by_side(self.with_terms_for, new), strict=True))
         return [self._tried[name] for name in causes]
 
     def with_terms_for(self, name: str) -> _Model:
@@ -651,7 +667,7 @@ def _beside(
     for name in reached:
         columns = [c for c in columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME]
         for _ in range(state.settings.terms_most):
-            best, explained, _ = leader(state, columns, [f.column for f in terms])
+            best, explained = leader(state, columns, [f.column for f in terms])
             if explained <= best.cost:
                 break
             terms.append(best)

@@ -19,6 +19,7 @@ from bayes_aero.model.records import Flights, cuts_of
 from bayes_aero.physics.aircraft import Aircraft, Axis
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
 from bayes_aero.physics.kinematics import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
+from bayes_aero.processes import side_by_side
 from bayes_aero.units import number
 
 DIRECTIONS_PER_CALL = 16
@@ -96,9 +97,12 @@ class ResidualModel(ABC):
     ) -> Residual:
         """Residuals of every fold at the parameters `fitted` to the others; zeros between folds."""
         residual = np.zeros((len(self.manoeuvre), len(outputs)))
-        for left_out, fold in enumerate(folds):
+
+        def fill(left_out: int) -> None:
             theta = fitted([f for f in range(len(folds)) if f != left_out])
-            residual[fold] = self.residuals(theta, outputs)[fold]
+            residual[folds[left_out]] = self.residuals(theta, outputs)[folds[left_out]]
+
+        side_by_side(fill, range(len(folds)))
         return residual
 
     @abstractmethod
@@ -320,7 +324,7 @@ class FlightPathError(Blockwise):
         residual.flags.writeable = False
         self._cache[key] = residual
         while len(self._cache) > CACHE_SIZE:
-            del self._cache[next(iter(self._cache))]
+            self._cache.pop(next(iter(list(self._cache)), b""), None)  # another thread may have taken it out
         return residual
 
 

@@ -432,6 +432,15 @@ def test_stretches_take_a_wrong_correction_back_and_scatter_by_their_own_estimat
     assert np.sqrt(covariance[0, 0]) == pytest.approx(error, rel=1e-9)
     assert stats.variation(information) < 0.5  # near the plain standard error of a mean then
     assert error == pytest.approx(stats.sem(right / information), rel=0.6)
+    # Candidates that are not in are no surer than the stretches let them be, either.
+    judged = Blocks(found.state)
+    ratios = [
+        s.sd[0] / judged.deviations(s.effect, 1)[0]
+        for s in found.steps[-1].screening.candidate_scores
+        if len(s.sd) == 1
+    ]
+    assert len(ratios) > 10
+    assert min(ratios) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_the_coefficients_deny_a_correction_that_harms_them(silent, card, monkeypatch):
