@@ -17,7 +17,7 @@ from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.dynamics.system import LateOutputs, System, Trajectory, integrate
 from bayes_aero.errors import InputError
-from bayes_aero.model.records import Flights, cuts_of
+from bayes_aero.model.records import Flights, cuts_of, shared_length
 from bayes_aero.physics.filters import advance
 
 START_SECONDS = 0.5  # s; the measured initial state is that of a straight line fitted to this time
@@ -43,8 +43,9 @@ class SegmentTrajectories(eqx.Module):
 
     @property
     def nameless(self) -> SegmentTrajectories:
-        """The same without names of the flights; see `Flights.nameless`."""
-        return replace(self, flights=self.flights.nameless)
+        """The same for compiled programs, which flights of any names and like length share."""
+        of_manoeuvres = self.dynamics.lengths != (1,)  # their parameters have a value for each sample
+        return replace(self, flights=self.flights.nameless if of_manoeuvres else self.flights.longer)
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " w"]:
@@ -106,7 +107,7 @@ def segments(
         cuts = cuts_of(n, dt, window)
         rows += np.split(samples, cuts[1:])
         dts += [dt] * len(cuts)
-    longest = max(map(len, rows))
+    longest = shared_length(max(map(len, rows)))
     index = np.stack([np.append(row, np.full(longest - len(row), row[-1])) for row in rows])
     inside = np.stack([np.arange(longest) < len(row) for row in rows])
     begin = max(2, min(round(START_SECONDS / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))

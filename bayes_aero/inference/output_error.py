@@ -288,8 +288,9 @@ class OutputErrorResult:
         """
         if not math.isfinite(self.cost):
             return self.covariance
-        k, inside = len(self.estimate), self.flown.inside
-        S, of_states, residual = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :], self.columns[..., 0]
+        k, inside = len(self.estimate), self.flown.inside[:, : int(self.flown.inside.sum(axis=1).max())]
+        columns = self.columns[:, : inside.shape[1]]
+        S, of_states, residual = columns[..., 1 : k + 1], columns[..., k + 1 :], columns[..., 0]
         S = S - np.einsum("wncs,wsk->wnck", of_states, self.eliminated)  # at optimal initial states
         D, weight = self.covariance, self.priors.weight
         of_priors = np.diag(self.priors.precision)

@@ -68,6 +68,13 @@ class Forming(StrEnum):
 OFF_PAGE = 24  # samples
 
 
+def shared_length(n: int) -> int:
+    """The least of eight lengths an octave that holds `n` samples: flights of like length share compiled programs."""
+    # A multiple of a page (512 numbers) would let rows of one sample share places of the cache, which takes twice as
+    # long.
+    return n + -n % (1 << max(n.bit_length() - 4, 0)) + OFF_PAGE
+
+
 @dataclass(frozen=True, eq=False)
 class Flights:
     """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`)."""
@@ -110,24 +117,21 @@ class Flights:
         return unsmoothed_joined(channels, self.aircraft.accelerometer, dt, first, last, regression)
 
     @cached_property
+    def longer(self) -> Flights:
+        """As one of `shared_length` that stands still after its end, nameless."""
+        n, whole = self.n, shared_length(self.n)
+        at = np.minimum(np.arange(whole), n - 1)
+        channels = {name: np.asarray(x)[at] for name, x in self.channels.items()}
+        channels["start"][n:] = np.arange(n, whole) == n
+        channels["first"][n:], channels["last"][n:] = n, whole - 1
+        return Flights(channels, self.aircraft, self.manoeuvre[at], self.time[at], (whole,), (), self.held)
+
+    @cached_property
     def padded(self) -> tuple[Flights, Any]:
-        """As one that stands still after its end, nameless, with the `regression` of what was recorded (NumPy's)."""
-        # Flights of like length share compiled programs so: eight lengths an octave. A multiple of a page (512 numbers)
-        # would let rows of one sample share places of the cache, which takes twice as long.
-        n = self.n
-        step = 1 << max(n.bit_length() - 4, 0)
-        more = -n % step + OFF_PAGE
-
-        def longer(x: np.ndarray) -> np.ndarray:
-            return np.concatenate([x, np.repeat(x[-1:], more)])
-
-        channels = {name: longer(x) for name, x in self.channels.items()}
-        channels["start"][n : n + 1] = True
-        channels["first"][n:], channels["last"][n:] = n, n + more - 1
+        """`longer`, with the `regression` of what was recorded (NumPy's)."""
         regression = self.regression()
-        regression = regression._replace(before=np.concatenate([regression.before, np.zeros(more)]))
-        manoeuvre, time = longer(self.manoeuvre), longer(self.time)
-        return Flights(channels, self.aircraft, manoeuvre, time, (n + more,), (), self.held), regression
+        before = np.append(regression.before, np.zeros(self.longer.n - self.n))
+        return self.longer, regression._replace(before=before)
 
 
 def join(

@@ -55,7 +55,8 @@ class OutputError(base.ResidualModel, eqx.Module):
 
     @property
     def nameless(self):
-        return replace(self, flights=self.flights.nameless, windows=self.windows.nameless)
+        windows = self.flown.nameless
+        return replace(self, flights=windows.flights, windows=windows)
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -302,8 +303,9 @@ class AddedCoefficients:
         self.zeros = {channel_of(name): nothing for name in model.coefficients}
         flights = replace(responses.flights, channels={**responses.flights.channels, **self.zeros})
         dynamics: Any = responses.windows.dynamics
+        flights = flights.nameless  # not `longer`: the size of a term is that of what was flown
         windows = replace(responses.windows, dynamics=replace(dynamics, model=model), flights=flights)
-        self.responses = replace(responses, flights=flights, windows=windows, model=model).nameless
+        self.responses = replace(responses, flights=flights, windows=windows, model=model)
         self.theta = jnp.asarray(theta)
 
     @cached_property

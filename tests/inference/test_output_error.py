@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import linear_cards as cards
 import numpy as np
@@ -257,6 +258,17 @@ def coloured_flown(seed, rho, n=500, biases=(0.0,)):
     return segments(join(records, card, dynamics.inputs), dynamics, outputs=("alpha", "q"))
 
 
+def test_flights_of_like_length_share_compiled_programs_and_the_same_estimates():
+    """What compiles is the structure and the shapes; samples beyond the flight's end change nothing."""
+    flights = [flown_of(SHORT_PERIOD, cards.short_period_flight(TRUTH, n=n), 1) for n in (490, 500)]
+    one, other = ([jax.tree.structure(f), *map(np.shape, jax.tree.leaves(f))] for f in (f.nameless for f in flights))
+    assert one == other
+    plain = {name: getattr(flights[0], name)[:, :490] for name in ("index", "inside", "noise_growth")}
+    whole, cut = (fit_output_error(flown, held={"az0": 0.0}) for flown in (flights[0], replace(flights[0], **plain)))
+    np.testing.assert_allclose(whole.estimate, cut.estimate, rtol=1e-9)
+    np.testing.assert_allclose(whole.sd_corrected, cut.sd_corrected, rtol=1e-9)
+
+
 @pytest.mark.verify
 @pytest.mark.parametrize(("rho", "flights"), [(0.0, 100), (0.9, 60)])
 def test_intervals_cover_the_truth(rho, flights):
@@ -382,6 +394,11 @@ N = 500
 APART = np.where((np.arange(N) > 300) & (np.arange(N) < 400), 1.0, 0.0)  # a stall of four seconds
 
 
+def longer(flown, x):
+    """(n,) samples of the one segment, and zeros to its end."""
+    return np.pad(x, (0, flown.inside.shape[1] - len(x)))[None]
+
+
 def growing_flown(seed, growth=GROWTH):
     rng, channels = np.random.default_rng(seed), cards.short_period_flight(TRUTH, n=N)
     for name in ("alpha", "q"):
@@ -395,10 +412,9 @@ def test_the_growth_of_noise_is_found(growth):
     """Of a hundred samples of separated flow a deviation is known to 7 %."""
     flown, truth = growing_flown(4132, growth)
     fit = fit_output_error(flown, start=truth, held={"az0": 0.0})
-    apart = SeparatedFlow(fit.columns[..., 0], np.broadcast_to(APART, fit.flown.inside.shape), fit.flown.inside)
+    apart = SeparatedFlow(fit.columns[..., 0], longer(fit.flown, APART), fit.flown.inside)
     assert apart.growths() == pytest.approx(growth, abs=4.0 * 0.08 * (1.0 + growth))
-    assert apart.noise_growth().shape == (1, N, 2)
-    np.testing.assert_allclose(apart.noise_growth()[0, APART == 0.0], 1.0)
+    np.testing.assert_allclose(apart.noise_growth()[0, :N][APART == 0.0], 1.0)
 
 
 def test_growth_has_an_end_and_segments_left_out_no_say():
@@ -418,19 +434,19 @@ def test_weighed_estimates_are_nearer_the_truth_and_a_steady_growth_scales_R_alo
     off, sd = {False: [], True: []}, []
     for seed in range(20):
         flown, truth = growing_flown([4, seed])
-        noise_growth = 1.0 + GROWTH * np.broadcast_to(APART[None, :, None], (1, N, 2))
+        noise_growth = 1.0 + GROWTH * np.repeat(longer(flown, APART)[:, :, None], 2, axis=2)
         for weighed, one in ((False, flown), (True, replace(flown, noise_growth=noise_growth))):
             fit = fit_output_error(one, start=truth, held={"az0": 0.0})
             off[weighed].append((fit.estimate - truth)[fit.sd > 0.0])
         sd.append(fit.sd[fit.sd > 0.0])
     np.testing.assert_allclose(fit.R, [NOISE[name] ** 2 for name in ("alpha", "q")], rtol=0.3)
-    residual = fit.columns[0, :, :, 0] * noise_growth[0]
+    residual = (fit.columns[0, :, :, 0] * noise_growth[0])[:N]
     np.testing.assert_allclose(fit.rms[0], np.sqrt(np.mean(residual**2, axis=0)))
     ratio = np.mean(np.square(off[True]), axis=0) / np.mean(np.square(off[False]), axis=0)
     assert np.median(ratio) < 0.7
     assert 0.8 < np.sqrt(np.mean((np.array(off[True]) / np.array(sd)) ** 2)) < 1.25
     flown, truth = growing_flown(3, 0.0)
-    twice = replace(flown, noise_growth=np.full((1, N, 2), 2.0))
+    twice = replace(flown, noise_growth=np.full_like(flown.noise_growth, 2.0))
     plain, scaled = (fit_output_error(f, start=truth, held={"az0": 0.0}) for f in (flown, twice))
     np.testing.assert_allclose(scaled.estimate, plain.estimate, rtol=1e-6)
     np.testing.assert_allclose(scaled.sd, plain.sd, rtol=1e-6)

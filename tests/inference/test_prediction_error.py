@@ -123,9 +123,9 @@ def test_filters_are_calibrated_only_with_the_true_noise(flown):
 def test_errors_of_an_output_do_not_know_the_other_outputs_of_their_sample(flown):
     """Its innovation does: the first output's are equal, the last one's are smaller than its error."""
     made, errors = predicted(flown, 1.0)
-    innovation = np.asarray(made.innovation)[0]
-    assert errors[0, :, 0] == pytest.approx(innovation[:, 0], abs=1e-12)
-    assert np.std(innovation[:, -1]) < 0.99 * np.std(errors[0, :, -1])
+    innovation, errors = (np.asarray(x)[0, :N] for x in (made.innovation, errors))
+    assert errors[:, 0] == pytest.approx(innovation[:, 0], abs=1e-12)
+    assert np.std(innovation[:, -1]) < 0.99 * np.std(errors[:, -1])
 
 
 HEAVY = np.random.default_rng(0).standard_t(3.0, (1, 3000, 1)) / np.sqrt(3.0)  # unit variance; 0.60 inside 50 %
@@ -225,7 +225,7 @@ def test_the_truth_is_recovered_and_without_process_noise_the_fit_is_worse(flown
 
 def test_the_gradient_is_that_of_finite_differences(flown):
     point = np.array([*(0.9 * TRUTH[n] for n in flown.dynamics.names), *np.log(F), *np.log(R)])
-    problem = prediction_error._Innovations(flown.nameless, F > 0.0, True)
+    problem = prediction_error._Innovations(flown, F > 0.0, True)
     gradient = problem.evaluate(point).gradient
     for i, g in enumerate(gradient):
         h = 1e-5 * max(1.0, abs(point[i])) * (np.arange(len(point)) == i)
@@ -332,8 +332,8 @@ def test_the_transform_is_that_of_a_scalar_filter_by_hand(scalar):
     given = (jnp.array([x]) for x in (ZALPHA, 0.0, SCALAR_F, SIGMA**2))
     made, away = (jax.tree.map(np.asarray, x) for x in filtered_errors(flown.nameless, *given))
     e, S = np.array(scalar_filter(z, de, np.array(ZALPHA), SCALAR_F, SIGMA)).T
-    np.testing.assert_allclose(norm.cdf(standardised(made))[0, :, 0], norm.cdf(e / np.sqrt(S)), atol=1e-5)
-    np.testing.assert_allclose(away[0, :, 0], e, atol=1e-7)
+    np.testing.assert_allclose(norm.cdf(standardised(made))[0, : len(e), 0], norm.cdf(e / np.sqrt(S)), atol=1e-5)
+    np.testing.assert_allclose(away[0, : len(e), 0], e, atol=1e-7)
     score = one_step(made, away, flown.outputs)
     assert score.outputs["alpha"].rms == pytest.approx(np.sqrt(np.nanmean(e**2)), rel=1e-6)
 

@@ -71,8 +71,8 @@ def test_white_errors_of_the_structure(flown):
     Means over 0.2 s are single samples here, so all that was left out is in the autoregression.
     """
     rng = np.random.default_rng(2)
-    errors = 0.3 * rng.standard_normal((2, N, 1))
-    size = float(np.sqrt(np.mean(errors**2)))
+    errors = 0.3 * rng.standard_normal((*flown.index.shape, 1))
+    size = float(np.sqrt(np.mean(errors[flown.inside] ** 2)))
     given = unknown(flown, rng, sd=0.0, hold_out=(errors, np.zeros(1)))
     band = 0.9
     tests = job.qualify(flown, None, given, {"az": band}).tests
@@ -92,14 +92,14 @@ def test_the_next_flight_has_its_own_parameters_unless_flights_left_out_show_non
     assert following.chance.value == pytest.approx(2.0 * norm.cdf(1.0 / 1.3) - 1.0, abs=ERROR)
     assert following.recorded is None
     for error, used in ((0.1, False), (2.0, True)):
-        left_out = (error * rng.standard_normal((2, N, 1)), np.zeros(1))
+        left_out = (error * rng.standard_normal((*flown.index.shape, 1)), np.zeros(1))
         few = Uncertain(given.estimate, given.draws[:100], wider.draws[:100], left_out)
         assert job.qualify(flown, None, few, {"az": 1.0}).scattered is used
     assert job.qualify(flown, None, given, {"az": 1.0}).scattered is None
 
 
 def test_the_same_seed_draws_the_same_flights_with_the_errors_of_a_binomial(flown):
-    given = unknown(flown, np.random.default_rng(4), hold_out=(np.ones((2, N, 1)), np.zeros(1)))
+    given = unknown(flown, np.random.default_rng(4), hold_out=(np.ones((*flown.index.shape, 1)), np.zeros(1)))
     few = Uncertain(given.estimate, given.draws[:100], given.draws[:100], given.hold_out)
     one, two, other = (job.qualify(flown, None, few, {"az": 1.0}, seed=seed).tests for seed in (1, 1, 2))
     assert one == two
