@@ -59,7 +59,6 @@ def compare(runs: Mapping[str, Callable[[], Any]], repeats: int = 5) -> None:
 
 
 def step(system: Any, x: Any, now: Any, then: Any, dt: Any) -> Any:
-    """Of Runge and Kutta."""
     middle = {name: 0.5 * (now[name] + then[name]) for name in now}
     k1 = system.motion(x, now)[0]
     k2 = system.motion(x + 0.5 * dt * k1, middle)[0]
@@ -120,7 +119,6 @@ def six() -> tuple[SegmentTrajectories, Any]:
 
 
 def sensitivities(name: str, cut: SegmentTrajectories, theta: Any) -> None:
-    """Both ways."""
     whole, at = jax.tree.map(jnp.asarray, cut.nameless), jnp.asarray(theta)
     kept = [c for c, output in enumerate(cut.outputs) if output not in FLOW]  # vane and pitot tube have their own units
     one, other = (np.asarray(x(whole, at))[:, :, kept] for x in (bare, ours))
@@ -144,7 +142,6 @@ def fits(book: Path | None) -> None:
 
 
 def main() -> None:
-    """Those asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="*", default=["stall", "six", "fit"])
     parser.add_argument("--book", type=Path)

@@ -10,17 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41994,
+    "bayes_aero: lines": 41987,
     "bayes_aero: files": 130,
-    "bayes_aero: private helpers used once": 233,
+    "bayes_aero: private helpers used once": 230,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 21704,
+    "tests: lines": 21753,
     "tests: files": 85,
-    "benchmarks: lines": 4484,
+    "benchmarks: lines": 4500,
     "benchmarks: files": 26,
-    "benchmarks/README.md: lines": 248,
+    "benchmarks/README.md: lines": 249,
     "CHANGELOG.md: lines": 150,
-    "docs: words": 24869,
+    "docs: words": 24884,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

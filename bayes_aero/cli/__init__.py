@@ -11,7 +11,7 @@ import typer
 from bayes_aero import __version__
 from bayes_aero.cli.fits import diagnose, export, fly, identify, path, qualify, run
 from bayes_aero.cli.fits import open as open_page
-from bayes_aero.cli.preparing import card, check, effects, simulate
+from bayes_aero.cli.preparing import card, check, effects, simulate, warm
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError, refuse_gone
 from bayes_aero.errors import DefectError, InputError, plain_line
 from bayes_aero.processes import enable_cache
@@ -53,7 +53,7 @@ def _options(
     """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
 
 
-for command in (identify, diagnose, fly, export, qualify, open_page, path, simulate, run, card, check, effects):
+for command in (identify, diagnose, fly, export, qualify, open_page, path, simulate, run, card, check, effects, warm):
     app.command()(command)
 
 

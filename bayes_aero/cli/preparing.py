@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -12,6 +13,7 @@ from bayes_aero.atomic_write import write_whole
 from bayes_aero.cli import terminal
 from bayes_aero.errors import InputError
 from bayes_aero.jobs.options import ReadingOptions
+from bayes_aero.processes import cache_folder
 from bayes_aero.simulate import Manoeuvre, SimulatedNoise
 
 
@@ -137,6 +139,27 @@ def effects(
     from bayes_aero.report.pages.check import effect_blocks, effects_table
 
     print_blocks(terminal.teller(), [effects_table(facts)] if name is None else effect_blocks(facts[0]))
+
+
+def warm(timings: terminal.TimingsOption = False) -> None:
+    """Compile the programs of identify, diagnose and fly for the simulated stalls, and keep them for later commands.
+
+    Records of the card attas and of about this length then start at once; other cards compile theirs the first time.
+
+    Example: bayes-aero warm
+    """
+    with terminal.loading():
+        from bayes_aero.flight.card import read_card
+        from bayes_aero.jobs import diagnose, fly, identify
+        from bayes_aero.jobs.options import IdentifyOptions
+        from bayes_aero.simulate.demo import demo_records
+
+    card, records = read_card("attas"), demo_records()
+    with TemporaryDirectory() as folder, terminal.working(Path(folder), timings, "simulating") as tell:
+        identify.identify(records, card, IdentifyOptions(gp=False), out=Path(folder) / "1", progress=tell)
+        diagnose.diagnose_records(records, card, out=Path(folder) / "2", progress=tell)
+        fly.fly(records, card, out=Path(folder) / "3", progress=tell)
+    terminal.teller().print(f"Compiled programs are kept in {cache_folder()}.", soft_wrap=True)
 
 
 def simulate(

@@ -28,6 +28,7 @@ from bayes_aero.inference.mle import (
 from bayes_aero.inference.pooled import check_manoeuvres, next_flight
 from bayes_aero.inference.results import Identification, NextFlight, Posterior
 from bayes_aero.inference.sampling import (
+    PosteriorMode,
     density_start,
     other_modes,
     pit_of,
@@ -44,6 +45,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Colour, Density, Noise, despiked, join, observe
 from bayes_aero.model.records import Forming, on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT
+from bayes_aero.processes import blas_threads
 from bayes_aero.progress import Progress, quiet
 from bayes_aero.report.figures.every_figure import FIGURES, draw_all
 from bayes_aero.report.page import put_page
@@ -136,6 +138,7 @@ class IdentificationJob(Growing[Identification]):
         with self.timed(name):
             return self.attempt(left_out, do, bad=bad)
 
+    @blas_threads(0)
     def fit(self, truth: Mapping[str, float] | None = None, **checks: Any) -> None:
         """Maximum likelihood, of all manoeuvres and of each alone; the sensors are compared before."""
         model, observations, seed = self.model, self.observations, self.options.seed
@@ -200,10 +203,12 @@ class IdentificationJob(Growing[Identification]):
         self.flown = self.stage("flights", "The identified model was not flown", flown, bad="{}: {}") or ()
         self.keep((), put_histories(lambda: identified(self.result), out))
 
+    @blas_threads(0)
     def sample(self) -> None:
+        options = {"seed": self.options.seed, "progress": self.progress, "modes": {}}
         for key, colour, engine in posterior_plan(Colour(self.options.noise)):
             left_out = f"The posterior by {key} under {colour.value} noise was not sampled"
-            do = partial(sampled, self.result, key, colour, engine, seed=self.options.seed, progress=self.progress)
+            do = partial(sampled, self.result, key, colour, engine, **options)
             if (sampling := self.stage(key, left_out, do)) is not None:
                 if self.out is not None:
                     sampling[0].save(self.out / f"posterior_{key}.nc")
@@ -234,10 +239,23 @@ class IdentificationJob(Growing[Identification]):
 
 
 def sampled(
-    run: Identification, key: str, colour: Colour, engine: Any, *, seed: int, progress: Progress = quiet
+    run: Identification,
+    key: str,
+    colour: Colour,
+    engine: Any,
+    *,
+    seed: int,
+    progress: Progress = quiet,
+    modes: dict[Colour, PosteriorMode] | None = None,
 ) -> tuple[Posterior, tuple[str, ...]]:
-    density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
-    mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
+    """A posterior and notes on it; `modes` keeps what was sought, for the next engine."""
+    density, modes = (
+        Density.of(run.observations, run.model, Noise(colour), run.mle.bias),
+        {} if modes is None else modes,
+    )
+    if colour not in modes:
+        modes[colour] = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
+    mode = modes[colour]
     posterior = engine(density, mode, seed=seed, progress=progress)
     notes = other_modes(mode, f"{key}, {colour.value} noise")
     if run.mle.conflicts and key == "emcee":

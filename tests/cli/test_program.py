@@ -31,6 +31,7 @@ from bayes_aero.jobs import options
 from bayes_aero.jobs.finished import FORMS
 from bayes_aero.model.observations import Colour
 from bayes_aero.model.records import Forming
+from bayes_aero.processes import cache_folder
 
 
 def test_choices_are_those_of_the_libraries():
@@ -218,3 +219,13 @@ def test_diagnose_writes_and_tells_what_it_found(tmp_path, diagnosis_output):
     assert (tmp_path / "diagnosis" / "screen.csv").is_file()
     assert not (tmp_path / "diagnosis" / "figures").exists()
     holds(page_of(tmp_path / "diagnosis"), *(str(escape(cause["claim"])) for cause in content["causes"]))
+
+
+def test_warm_compiles_what_the_demo_needs_and_says_where_it_is_kept(program, monkeypatch):
+    ran = {name: Mock() for name in ("identify.identify", "diagnose.diagnose_records", "fly.fly")}
+    for name, job_of in ran.items():
+        monkeypatch.setattr(f"bayes_aero.jobs.{name}", job_of)
+    done = succeeded(program("warm"))
+    assert str(cache_folder()) in done.out
+    for job_of in ran.values():
+        assert [r.name for r in job_of.call_args.args[0]] == ["demo_stall_1", "demo_stall_2"]

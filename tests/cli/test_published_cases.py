@@ -255,3 +255,10 @@ def test_swapped_ailerons_are_told_by_the_roll_that_they_make(six_card, six_reco
     rudder = replace(six_records[2], channels={**six_records[2].channels, "rudder": -six_records[2]["rudder"]})
     (finding,) = [f for f in channel_health([rudder], six_card) if f.fault == "sign"]
     assert finding.channel == "rudder"
+
+
+def test_diagnose_of_the_real_stalls_answers_on_one_screen(attas_paths, program):
+    """Its length and blocks are asserted in `called`. The sensors of these records disagree."""
+    asked = ("--no-trajectories", "--no-test-points", "--no-figures", "--out", "out")
+    succeeded(program("diagnose", *attas_paths, "--model", "attas", *asked), 3)
+    assert json.loads(Path("out/diagnosis.json").read_text())["verdict"] == "partly_explained"
