@@ -121,7 +121,7 @@ def six() -> tuple[SegmentTrajectories, Any]:
 def sensitivities(name: str, cut: SegmentTrajectories, theta: Any) -> None:
     whole, at = jax.tree.map(jnp.asarray, cut.nameless), jnp.asarray(theta)
     kept = [c for c, output in enumerate(cut.outputs) if output not in FLOW]  # vane and pitot tube have their own units
-    one, other = (np.asarray(x(whole, at))[:, :, kept] for x in (bare, ours))
+    one, other = (np.asarray(x(whole, at))[cut.inside][:, kept] for x in (bare, ours))
     apart = np.abs(one + other).max() / np.abs(one).max()
     print(f"{name}: {cut.flights.n} samples, {len(theta)} parameters, Jacobians {apart:.0e} apart")
     runs = {"bare scan": lambda: bare(whole, at), "bayes_aero": lambda: ours(whole, at)}
