@@ -17,7 +17,7 @@ if "jax" in sys.modules:
 
 # A flag that XLA does not know ends the process: these versions know the first, all know the second. With the newer
 # emitters, programs that take the derivatives of all samples at once need up to six times as long on a processor. A
-# loop whose turns touch less memory than the threshold, 1 kB by default, is compiled as a whole. In pieces a filter
+# loop whose passes touch less memory than the threshold, 1 kB by default, is compiled as a whole. In pieces a filter
 # takes four times as long and its gradient nine times, because their calls take longer than products of small matrices.
 _flags = os.environ.get("XLA_FLAGS", "")
 if "xla_cpu_use_fusion_emitters" not in _flags and version("jaxlib").startswith(("0.10.", "0.11.")):

@@ -10,11 +10,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41987,
+    "bayes_aero: lines": 41988,
     "bayes_aero: files": 130,
     "bayes_aero: private helpers used once": 230,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 21753,
+    "tests: lines": 21773,
     "tests: files": 85,
     "benchmarks: lines": 4500,
     "benchmarks: files": 26,

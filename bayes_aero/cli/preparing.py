@@ -144,7 +144,7 @@ def effects(
 def warm(timings: terminal.TimingsOption = False) -> None:
     """Compile the programs of identify, diagnose and fly for the simulated stalls, and keep them for later commands.
 
-    Records of the card attas and of about this length then start at once; other cards compile theirs the first time.
+    Records of the card attas of about this length then compile little; other cards compile theirs the first time.
 
     Example: bayes-aero warm
     """

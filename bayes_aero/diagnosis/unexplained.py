@@ -294,11 +294,13 @@ def leader(
     fit, growth, inside = start.best, start.noise_growth[:, :, None], start.inside[:, None, None]
     weight, left, B = 1.0 / fit.variance, start.left(), np.where(inside, start.scaled[:, :, fit.columns], 0.0)
     X = np.where(inside, np.concatenate([c.component.basis for c in rest], axis=2) / growth, 0.0)
-    on = np.any(X != 0.0, axis=(0, 2))  # of hundreds of terms only inner products, over the outputs that they reach
-    cross = np.einsum("mck,c,mcj->kj", B[:, on], weight[on], X[:, on], optimize=True)
+    reached = np.any(X != 0.0, axis=(0, 2))  # of hundreds of terms only inner products, over the outputs they reach
+    of_terms = X[:, reached] * np.sqrt(weight[reached])[:, None]
+    cross = np.einsum("mck,c,mcj->kj", B[:, reached], np.sqrt(weight[reached]), of_terms, optimize=True)
     made = inverse(fit.normal) @ cross  # what the parameters of the model make of each term
     change = (2.0 * cross - np.einsum("mck,c,mcl->kl", B, weight, B, optimize=True) @ made) * made
-    information = np.einsum("mcj,c,mcj->j", X[:, on], weight[on], X[:, on], optimize=True) - change.sum(axis=0)
+    # With the prior of the fits: a term that the parameters make as well has no other information, and gains nothing.
+    information = np.einsum("mcj,mcj->j", of_terms, of_terms) - change.sum(axis=0) + state.flat_prior(1)[1]
     right = np.tensordot(left * weight, X, 2) - np.tensordot(left * weight, B, 2) @ made
     n = float(np.count_nonzero(start.inside))
     gains = -n * np.log1p(-np.minimum(right**2 / information / n, 1.0 - 1e-9))

@@ -77,14 +77,13 @@ def correct(
     C: Float[Array, "c s"],
     residual: Float[Array, " c *m"],
     variance: PerOutput,
-    used: Bool[Array, " c"] | None = None,
-) -> tuple[Array, Array, Array, Array, Array]:
+    used: Bool[Array, " c"],
+) -> tuple[Array, Array, Array, Array]:
     """Correction of the state (s, *m) by the outputs of one sample, the covariance after it, and the innovations
     (c, *m). `P`: covariance of the predicted state; `C`: derivative of the outputs by it; `residual`: measured minus
     predicted, with its derivatives in further columns; `variance`: of the measurement noise; `used`: which outputs were
-    measured, by default those whose residual is not NaN. Also returned: the variances of the innovations, and `used`.
-    The loop over the outputs is unrolled, which is faster for so few."""
-    used = jnp.isfinite(residual if residual.ndim == 1 else residual[:, 0]) if used is None else used
+    measured. Also returned: the variances of the innovations. The loop over the outputs is unrolled, which is faster
+    for so few."""
     column = lambda x: x.reshape(x.shape + (1,) * (residual.ndim - 1))  # noqa: E731
 
     def one(carry, output):
@@ -98,14 +97,14 @@ def correct(
     rows = (C, jnp.where(column(used), residual, 0.0), variance, used)
     begin = (jnp.zeros((len(P), *residual.shape[1:])), P)
     (correction, P), (e, S) = jax.lax.scan(one, begin, rows, unroll=True)
-    return correction, P, e, S, used
+    return correction, P, e, S
 
 
 def gains(
     P: Square, C: Float[Array, "c s"], variance: PerOutput, used: Bool[Array, " c"]
 ) -> tuple[Float[Array, "s c"], Float[Array, "c c"]]:
     """Gain of `correct`, and the matrix that whitens measured minus predicted: what it makes of each output alone."""
-    gain, _, whitening, _, _ = correct(P, C, jnp.eye(len(C)), variance, used)
+    gain, _, whitening, _ = correct(P, C, jnp.eye(len(C)), variance, used)
     return gain, whitening
 
 
@@ -163,15 +162,16 @@ def filter_inputs(
 
 def _recursion(outputs: Any, motion: Any, dt: Any) -> Callable[[tuple[Array, Square], Any], Any]:
     """The step of every filter: from the predicted state and its covariance, and a row of data with the variance of its
-    noise, to those a sample later and `Filtered`. `outputs(x, row)`: measured minus predicted (NaN: missing), and the
-    derivative of the outputs by the state; `motion(x, row)`: the state a sample later, its derivative, and the density
-    of the process noise. States and residuals may have derivatives in further columns."""
+    noise and which outputs were measured, to those a sample later and `Filtered`. `outputs(x, row)`: measured minus
+    predicted, and the derivative of the outputs by the state; `motion(x, row)`: the state a sample later, its
+    derivative, and the density of the process noise. States and residuals may have derivatives in further columns."""
 
     @partial(jax.checkpoint, prevent_cse=False)  # to store each step takes as long or longer, and longer to compile
     def one_sample(predicted, given):
-        (x, P), (row, variance) = predicted, given
+        (x, P), (row, variance, used) = predicted, given
         residual, C = outputs(x, row)
-        correction, P_estimate, e, S, used = correct(P, C, residual, variance)
+        # Not by the residual: a filter that has diverged would take its own outputs for missing ones.
+        correction, P_estimate, e, S = correct(P, C, residual, variance, used)
         ahead, transition, density = motion(x + correction, row)
         sample = Filtered(x, P, x + correction, P_estimate, transition, e, S, used)
         return (ahead, predicted_covariance(transition, P_estimate, density, dt)), sample
@@ -197,9 +197,8 @@ def kalman_filter(
         ahead = value_and_slope(lambda x: advance(system, x, now, then, rows.dt, substeps), x)
         return *ahead, F**2 + system.noise_density(x, now)
 
-    by_sample = (rows.now, rows.then, rows.measured)
-    step = _recursion(outputs, motion, rows.dt)
-    found = jax.lax.scan(step, (rows.begin, rows.covariance), (by_sample, rows.variance))[1]
+    by_sample = (rows.now, rows.then, rows.measured), rows.variance, jnp.isfinite(rows.measured)
+    found = jax.lax.scan(_recursion(outputs, motion, rows.dt), (rows.begin, rows.covariance), by_sample)[1]
     return _recorded(found, rows.scale)
 
 
@@ -310,7 +309,7 @@ def linear_innovations(
 def _by_sample(lin: LinearisedFilter, noise: Disturbances) -> Any:
     """Rows of a segment for `_linear_recursion`; what is of the initial state is replaced by what is of samples."""
     lin = lin._replace(begin=lin.before, begin_drive=lin.before)
-    return (lin, noise._replace(begin=noise.density)), noise.variance
+    return (lin, noise._replace(begin=noise.density)), noise.variance, jnp.isfinite(lin.residual)
 
 
 def _linear_recursion(dt: Any) -> Callable[[tuple[Array, Square], Any], Any]:
@@ -342,10 +341,10 @@ def noise_derivatives(
 
     def of_segment(lin, noise, slopes, dt, x, P):
         def step(lin, x, P, noise):
-            ahead, sample = _linear_recursion(dt)((x, P), ((lin, noise), noise.variance))
+            ahead, sample = _linear_recursion(dt)((x, P), ((lin, noise), noise.variance, jnp.isfinite(lin.residual)))
             return ahead, (sample.innovation[:, 0], sample.variance)
 
-        (by_sample, noise), _ = _by_sample(lin, noise)
+        (by_sample, noise), *_ = _by_sample(lin, noise)
         slope = lambda lin, *at: jax.linearize(partial(step, lin), *at)[1]  # noqa: E731
         rows = jax.vmap(slope)(by_sample, x, P, noise), slopes._replace(begin=slopes.density)
         begin = jnp.zeros((*x.shape[1:], slopes.begin.shape[-1])), slopes.begin

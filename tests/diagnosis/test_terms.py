@@ -15,12 +15,18 @@ from gusty_flight import DT, GUST, LENGTH, SECONDS, TRUTH, gusty_flight
 from parts import few_candidates, without_accelerometers
 
 from bayes_aero.diagnosis import search as searches
-from bayes_aero.diagnosis.components import QUANTITIES, SEPARATED, library
+from bayes_aero.diagnosis.components import QUANTITIES, SEPARATED, Trial, columns_of, library
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import INNOVATIONS, FoundTerm, ProductTerm
 from bayes_aero.diagnosis.selection import plausible_selection
-from bayes_aero.diagnosis.selection_state import CandidateModel, DiagnosisSettings, SelectionState, linearised
-from bayes_aero.diagnosis.unexplained import flown_forms
+from bayes_aero.diagnosis.selection_state import (
+    CandidateModel,
+    Component,
+    DiagnosisSettings,
+    SelectionState,
+    linearised,
+)
+from bayes_aero.diagnosis.unexplained import NEAR, flown_forms, leader
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.kalman import filter_segments
 from bayes_aero.dynamics.segments import segments
@@ -207,6 +213,18 @@ def test_a_hidden_term_is_found_in_trajectories_and_their_silent_twins_have_none
     assert abs(term.size[0] - 0.15) < 1.96 * term.size[1]
     assert [(u.coefficient, u.channel) for u in searched.unknown] == [("Cm", "alpha^2")]
     assert silent.terms == ()
+
+
+def test_the_leader_explains_as_much_as_a_regression_says_and_is_nothing_that_a_parameter_makes(calm):
+    columns = columns_of(calm, "Cm")[:12]
+    basis = calm.S[:, :, calm.full.columns(["Cma"])]
+    again = replace(columns[0], component=Component("Cm", "again", basis / np.std(basis)))
+    term, explained = leader(calm, [*columns, again], ())
+    assert term.column is not again
+    more = {c.component.label: calm.best.deviance - Trial(calm, c.component).fit.deviance for c in columns}
+    label = term.column.component.label
+    assert more[label] >= NEAR * max(more.values())
+    assert explained == pytest.approx(0.5 * more[label] / max(term.inflation, 1.0), rel=1e-9)
 
 
 def test_offsets_are_central_differences_along_initial_states(calm):

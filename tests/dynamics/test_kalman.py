@@ -51,10 +51,16 @@ def record(discrete):
 
 
 @eqx.filter_jit
-def filtered(system, de, z, P0, F):
+def filtered(system, de, z, P0, F, start=START):
     inputs, variance = {"de": jnp.asarray(de)}, jnp.tile(jnp.asarray(R), (N, 1))
-    given = jnp.asarray(START), jnp.asarray(P0), inputs, later(inputs), jnp.asarray(z), variance, jnp.ones((N, 3)), DT
+    given = jnp.asarray(start), jnp.asarray(P0), inputs, later(inputs), jnp.asarray(z), variance, jnp.ones((N, 3)), DT
     return kalman.kalman_filter(system, kalman.FilterInputs(*given), jnp.asarray(F), NAMES)
+
+
+def test_a_filter_that_has_diverged_has_no_likelihood_and_its_outputs_are_not_missing(system, discrete, record):
+    lost = filtered(system, discrete[0], record, P0, F, np.array([np.inf, 0.02]))
+    np.testing.assert_array_equal(lost.used, np.isfinite(record))
+    assert not np.isfinite(kalman.log_likelihood(lost))
 
 
 def test_a_linear_system_agrees_with_statsmodels(system, discrete, record):

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom, norm
 
 from bayes_aero.dynamics.flight import Dynamics, linear_dynamics
-from bayes_aero.dynamics.kalman import Filtered, filter_segments, innovations_density, log_likelihood, prediction_errors
+from bayes_aero.dynamics.kalman import Filtered, filter_segments, innovations_density, prediction_errors
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import System
 from bayes_aero.flight.record import FlightRecord
@@ -442,20 +442,16 @@ def pendulum():
     return segments(join(parts, card, ()), _PendulumDynamics())
 
 
-def test_the_lean_likelihood_is_the_filter_s_and_its_gradient_that_of_differences(pendulum):
+def test_the_gradient_of_the_likelihood_is_that_of_differences(pendulum):
     """Of a motion and outputs that bend, and of noise that depends on state and parameters."""
 
     @eqx.filter_jit
     def evaluate(flown, x):
-        given = x[:2], jnp.array([0.1, 0.2]), x[2:4], x[4:]
-        lean = jax.value_and_grad(lambda x: innovations_density(flown, x[:2], given[1], x[2:4], x[4:]))(x)
-        return *lean, jnp.sum(jax.vmap(log_likelihood)(filter_segments(flown, *given)))
+        deviation = jnp.array([0.1, 0.2])
+        return jax.value_and_grad(lambda x: innovations_density(flown, x[:2], deviation, x[2:4], x[4:]))(x)
 
     x = np.array([4.0, 0.3, 0.05, 0.2, 0.01, 0.01, 0.02])
     at = lambda x: evaluate(pendulum.nameless, jnp.asarray(x))
-    for factor in np.random.default_rng(1).uniform(0.5, 1.5, (3, 7)):
-        lean, _, whole = at(x * factor)
-        assert float(lean) == pytest.approx(float(whole), rel=1e-10)
     gradient = at(x)[1]
     for i in range(len(x)):
         h = 1e-5 * x[i] * (np.arange(len(x)) == i)
