@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
@@ -35,7 +35,7 @@ BREAKS = tuple(k / 20.0 for k in range(1, 20))  # quantiles of alpha or beta at 
 BUMPS = tuple(k / 10.0 for k in range(1, 10))  # and at which it may have a bump
 WIDTHS = (0.07, 0.12, 0.2)  # of a bump, shares of the range
 CLEAR = 3.0  # standard deviations of its noise; nearer to zero, noise decides the sign and makes a dead band
-LAGS = (5.0, 15.0, 40.0)  # chords travelled, time constants of memory
+LAGS = (5.0, 15.0, 40.0, 100.0)  # chords travelled, time constants of memory
 
 
 def _channel(name: str, *, lateral: bool = False) -> TermFactor:
@@ -141,22 +141,21 @@ def _places(x: Float[np.ndarray, " n"], shares: Sequence[float]) -> list[float]:
 
 # --- Components: functions of channels, periods and terms in a regression.
 
-PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 ODD = ("beta", "p", "r", "aileron", "rudder")
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
 SEPARATES = 0.9  # X below which a flight tells what acts in separated flow alone; our choice
 DEGREES = 4  # columns of a polynomial of the angle of attack; our choice
 SAME = 0.999  # squared cosine of what an effect and a term do to a coefficient, beyond which they are one; our choice
+ALIKE = 0.9  # the same of a term of the past, which is a derivative in other words; our choice
 BYTES = 2e9  # of memory that inner products may take
 
 
-def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Component], float], ...]:
-    """Kinds of components that the record can test: folds by which they must predict, themselves, least share."""
+def families(state: SelectionState) -> tuple[tuple[list[Component], float], ...]:
+    """Functions of channels and terms that the record can test, and the least share of each kind."""
     s, alone = state.settings, len(state.responses.flights.lengths) == 1
-    channel, wave = (s.single_share, s.single_share) if alone else (s.unnamed_share, s.periodic_share)
-    periodic = [(chunks(state), periodic_components(state), wave)] if has_chunks(state) else []
+    least = s.single_share if alone else s.unnamed_share
     terms = [column.component for name in state.outputs for column in columns_of(state, name)]
-    return (state.folds, smooth_components(state), channel), *periodic, (state.folds, terms, channel)
+    return (smooth_components(state), least), (terms, least)
 
 
 def smooth_components(state: SelectionState) -> list[Component]:
@@ -181,27 +180,12 @@ def _smooth(x: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, "m w"]:
     return B / np.maximum(B.std(axis=0), 1e-12)
 
 
-def periodic_components(state: SelectionState) -> list[Component]:
-    elapsed = np.asarray(state.responses.block(state.responses.flights.channels["elapsed"]))
-    manoeuvre, seconds, components = state.responses.manoeuvre, state.responses.seconds, []
-    longest = np.bincount(manoeuvre).min() * seconds  # of which every manoeuvre shows a whole one
-    for period in (period for period in PERIODS if 4.0 * seconds <= period <= longest):
-        phase = 2.0 * np.pi * elapsed / period
-        wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
-        basis = np.concatenate([wave * (manoeuvre == k)[:, None] for k in range(int(manoeuvre[-1]) + 1)], axis=1)
-        columns = dict.fromkeys(state.outputs, basis)
-        components += _in_each(state, f"time, period {period:.3g} s", columns, periodic=True)
-    return components
-
-
-def _in_each(
-    state: SelectionState, channel: str, columns: dict[str, Float[np.ndarray, "m w"]], *, periodic: bool = False
-) -> list[Component]:
+def _in_each(state: SelectionState, channel: str, columns: dict[str, Float[np.ndarray, "m w"]]) -> list[Component]:
     components = []
     for coefficient, column in columns.items():
         basis = np.zeros((len(column), len(state.outputs), column.shape[1]))
         basis[:, state.outputs.index(coefficient)] = column
-        components.append(Component(coefficient, channel, basis, periodic))
+        components.append(Component(coefficient, channel, basis))
     return components
 
 
@@ -237,9 +221,9 @@ def has_chunks(state: SelectionState) -> bool:
     return all(part.stop - part.start > ORDER for part in chunks(state))
 
 
-def in_batches(state: SelectionState, components: Sequence[Component], folds: Sequence[slice]) -> list[list[Component]]:
+def in_batches(state: SelectionState, components: Sequence[Component]) -> list[list[Component]]:
     """The components in as few sets as memory allows: inner products of all columns grow with their number squared."""
-    each = 8.0 * len(folds) * state.residual.shape[1]  # bytes of one pair of columns
+    each = 8.0 * len(state.folds) * state.residual.shape[1]  # bytes of one pair of columns
     most, batches, width = max(int(np.sqrt(BYTES / each)) - state.S.shape[2], 1), list[list[Component]](), 0
     for component in components:
         if not batches or width + component.basis.shape[2] > most:
@@ -346,29 +330,36 @@ def term_of(state: SelectionState, effect: str) -> TermColumn | None:
     if len(of_catalogue.parameters) > 1 or len(acts_on) > 1 or not acts_on <= set(state.responses.model.coefficients):
         return None
     (coefficient,) = acts_on
-    columns = columns_of(state, coefficient)
-    alike = [likeness(state, [effect], column) for column in columns]
-    return columns[int(np.argmax(alike))] if max(alike, default=0.0) > SAME else None
+    if not (columns := columns_of(state, coefficient)):
+        return None
+    x = np.concatenate([column.component.basis for column in columns], axis=2)
+    reached = np.any(x != 0.0, axis=(0, 2))
+    x, S = x[:, reached], state.S[:, reached][:, :, state.full.own_columns(effect)][:, :, 0]
+    alike = np.einsum("mcj,mc->j", x, S) ** 2 / np.maximum(np.sum(x**2, axis=(0, 1)) * np.sum(S**2), 1e-300)
+    return columns[int(np.argmax(alike))] if np.max(alike) > SAME else None
 
 
-def likeness(state: SelectionState, effects: Sequence[str], column: TermColumn) -> float:
-    """Largest squared cosine of what parameters of effects and a term do to the outputs that the term reaches."""
-    x = column.component.basis[:, :, 0]
-    reached = np.any(x != 0.0, axis=0)
-    x, S = x[:, reached], state.S[:, reached][:, :, state.full.own_columns(*effects)]
-    alike = np.einsum("mc,mck->k", x, S) ** 2 / np.maximum(np.sum(x**2) * np.sum(S**2, axis=(0, 1)), 1e-300)
-    return float(np.max(alike, initial=0.0))
+def imitated(state: SelectionState, effects: Sequence[str], components: Sequence[Component]) -> Float[np.ndarray, " j"]:
+    """Share of what some additions make beside all else that each component of one coefficient makes, at most."""
+    own, inside = state.full.own_columns(*effects), state.columns()
+    if not (len(components) and len(own)):
+        return np.zeros(len(components))
+    beside = np.setdiff1d(inside[inside < len(state.theta)], own)
+    reached = np.any(components[0].basis != 0.0, axis=(0, 2))
+    A = np.concatenate([state.S[:, :, own], *(c.basis for c in components)], axis=2)[:, reached]
+    weight = 1.0 / np.maximum(np.var(state.residual, axis=0)[reached], 1e-300)
+    A = selection_state.partialled(A, state.S[:, reached][:, :, beside], weight) * np.sqrt(weight)[:, None]
+    A, widths = A.reshape(-1, A.shape[2]), np.cumsum([len(own), *(c.basis.shape[2] for c in components)])
+    X, *bases = np.split(A, widths[:-1], axis=1)
+    size = np.maximum(np.sum(X**2, axis=0), 1e-300)
+    made = [np.einsum("ik,ij,jk->k", B.T @ X, inverse(B.T @ B), B.T @ X) / size for B in bases]
+    return np.max(made, axis=1)
 
 
 def _able(state: SelectionState, signals: Signals) -> Callable[[str], bool]:
     flights = state.responses.flights
     noise = selection_state.noise_channels(flights)
     return lambda channel: channel in signals and channel not in noise and moves(signals[channel], flights, 1e-6)
-
-
-# --- A parameter of the model that takes another value during the records: is there one beyond chance, and where.
-# The largest gain over all parameters and moments is compared with that in noise-only replicates, which make the same
-# choice. Then the change must explain enough and predict parts of the manoeuvres that it was not fitted to.
 
 
 @dataclass(frozen=True)
@@ -379,6 +370,108 @@ class FoundComponent:
     component: Component
     share: float
     p_value: float
+
+
+# --- Sinusoids in a coefficient, of own size and phase in each manoeuvre: fuel that sloshes, a control that hunts.
+
+PERIOD = (0.6, 30.0)  # s, the shortest and the longest
+FINER = 8  # frequencies between two of the scan, from which the best is taken
+
+
+def frequencies(state: SelectionState) -> Float[np.ndarray, " f"]:
+    """Hz, half the resolution of the longest manoeuvre apart; of the lowest every manoeuvre shows a whole period."""
+    seconds = np.bincount(state.responses.manoeuvre) * state.responses.seconds
+    low, high = 1.0 / min(PERIOD[1], seconds.min()), 1.0 / max(PERIOD[0], 4.0 * state.responses.seconds)
+    return np.arange(low, high, 0.5 / seconds.max()) if has_chunks(state) else np.zeros(0)
+
+
+class WaveScan:
+    """What sinusoids of these frequencies (Hz) in a coefficient explain beside all that is in a fit."""
+
+    def __init__(self, state: SelectionState, fit: RegressionFit, coefficient: str, hertz: Float[np.ndarray, " f"]):
+        self.state, self.coefficient, self.hertz = state, coefficient, hertz
+        basis, manoeuvre, weight = self._basis(hertz), state.responses.manoeuvre, np.sqrt(1.0 / fit.variance)
+        self.reached = np.any(basis != 0.0, axis=(0, 1, 3))
+        self._weight, B = weight[self.reached], (state.scaled[:, :, fit.columns] * weight[:, None])[:, self.reached]
+        basis = basis[:, :, self.reached] * (self._weight / state.noise_growth[:, self.reached])[:, :, None]
+        self._rows = [np.flatnonzero((manoeuvre == k) & state.inside) for k in range(int(manoeuvre[-1]) + 1)]
+        self._waves = [np.moveaxis(basis[:, rows], 0, 2) for rows in self._rows]  # m c f 2, of each manoeuvre
+        self._B = [B[rows] for rows in self._rows]
+        sums = [np.tensordot(b, x, ((0, 1), (0, 1))) for b, x in zip(self._B, self._waves, strict=True)]
+        cross, count = np.concatenate(sums, axis=2), 2 * len(sums)  # k f 2M
+        self._made = np.tensordot(inverse(fit.normal), cross, 1)
+        information = -np.einsum("kfi,kfj->fij", cross, self._made, optimize=True)
+        for k, x in enumerate(self._waves):
+            at = slice(2 * k, 2 * k + 2)
+            information[:, at, at] += np.einsum("mcfi,mcfj->fij", x, x, optimize=True)
+        size = np.einsum("fii->f", information) / count
+        self._bread = np.linalg.inv(information + 1e-9 * np.maximum(size, 1e-300)[:, None, None] * np.eye(count))
+
+    def _basis(self, hertz: Float[np.ndarray, " f"]) -> Float[np.ndarray, "f m c 2"]:
+        """Sine and cosine of each frequency as the residuals show them, of unit size."""
+
+        def made(signals: Signals) -> Float[np.ndarray, "d n"]:
+            phase = 2.0 * np.pi * np.outer(hertz, np.asarray(signals["elapsed"]))
+            return np.concatenate([np.sin(phase), np.cos(phase)])
+
+        state = self.state
+        added, deviation = state.responses.added(state.theta), np.std(state.residual / state.noise_growth, axis=0)
+        _, slopes, scale = added.columns(self.coefficient, made, state.outputs, deviation)
+        shown = slopes / np.maximum(scale, 1e-300)[:, None, None]
+        return np.moveaxis(shown.reshape(2, len(hertz), *shown.shape[1:]), 0, 3)
+
+    def shares(self, residuals: Float[np.ndarray, "r m c"]) -> Float[np.ndarray, "r f"]:
+        """Share of the variance of the outputs reached that each frequency takes away."""
+        left = residuals[:, :, self.reached] * self._weight
+        parts = [left[:, rows] for rows in self._rows]
+        sums = [np.tensordot(x, wave, ((1, 2), (0, 1))) for x, wave in zip(parts, self._waves, strict=True)]
+        beside = sum(np.tensordot(x, b, ((1, 2), (0, 1))) for x, b in zip(parts, self._B, strict=True))
+        right = np.concatenate(sums, axis=2) - np.tensordot(beside, self._made, 1)
+        gains = np.einsum("rfi,fij,rfj->rf", right, self._bread, right, optimize=True)
+        return gains / np.maximum(sum(np.sum(x**2, axis=(1, 2)) for x in parts), 1e-300)[:, None]
+
+    def component(self, hertz: float) -> Component:
+        manoeuvre = self.state.responses.manoeuvre
+        own = manoeuvre[:, None] == np.arange(int(manoeuvre[-1]) + 1)
+        (wave,) = self._basis(np.array([hertz]))
+        basis = np.concatenate([wave * here[:, None, None] for here in own.T], axis=2)
+        return Component(self.coefficient, f"time, period {1.0 / hertz:.3g} s", basis, True)
+
+
+def waves(state: SelectionState, coefficients: Sequence[str]) -> list[Component]:
+    """The sinusoid in each coefficient that explains most of what a state leaves."""
+    hertz, found = frequencies(state), list[Component]()
+    for name in coefficients if len(hertz) else ():
+        residual = state.left()[None]
+        best = hertz[np.argmax(WaveScan(state, state.best, name, hertz).shares(residual))]
+        step = hertz[1] - hertz[0] if len(hertz) > 1 else 0.0
+        finer = WaveScan(state, state.best, name, np.linspace(best - step, best + step, 2 * FINER + 1))
+        found.append(finer.component(float(finer.hertz[np.argmax(finer.shares(residual))])))
+    return found
+
+
+def sought_waves(state: SelectionState, chosen: Sequence[Component], seed: int) -> Iterator[FoundComponent]:
+    """Sinusoids beyond chance that predict parts of the manoeuvres left out, the largest share first."""
+    alone, folds = len(state.responses.flights.lengths) == 1, chunks(state) if has_chunks(state) else ()
+    whole = state.with_components((), chosen, folds) if folds else state
+    trials = [Trial(state, wave, chosen, folds) for wave in waves(whole, state.outputs)]
+    least = state.settings.single_share if alone else state.settings.periodic_share
+    for trial in sorted(trials, key=lambda trial: -trial.share):
+        if trial.share >= least and trial.gain > 0.0:
+            colour = screening.autocorrelation_of(trial.state.left(trial.fit), folds)
+            # As in `screening.null_shares`.
+            held, rng = whole.fit(held=trial.fit.variance), np.random.default_rng(seed)
+            white = screening.white_noise(state.settings.unnamed_replicates, folds, len(state.outputs), rng)
+            noises = screening.noise_records(whole, held, colour, white)
+            scans = [WaveScan(whole, held, name, frequencies(state)) for name in state.outputs]
+            p = screening.chance_of(trial.share, np.max([scan.shares(noises).max(axis=1) for scan in scans], axis=0))
+            if p <= state.settings.unnamed_false_alarm_rate:
+                yield FoundComponent(state, trial.state.components[0], trial.share, p)
+
+
+# --- A parameter of the model that takes another value during the records: is there one beyond chance, and where.
+# The largest gain over all parameters and moments is compared with that in noise-only replicates, which make the same
+# choice. Then the change must explain enough and predict parts of the manoeuvres that it was not fitted to.
 
 
 @dataclass(frozen=True)

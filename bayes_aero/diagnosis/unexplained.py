@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import islice
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from scipy.special import chdtrc
 
 from bayes_aero.diagnosis import components as shapes
 from bayes_aero.diagnosis import screening, selection_state
-from bayes_aero.diagnosis.components import SAME, TermColumn, Trial, columns_of, holdout_gain_of, in_batches, likeness
+from bayes_aero.diagnosis.components import TermColumn, Trial, columns_of, holdout_gain_of, in_batches
 from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm, Size, UnexplainedStructure
 from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed, truncated
 from bayes_aero.diagnosis.selection_state import (
@@ -134,30 +135,35 @@ def withdrawn(extension: Extension, names: Sequence[str], sizes: Mapping[str, Si
 
 
 def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> shapes.FoundComponent | None:
-    """The component, or change, that explains what is left beyond chance and predicts left-out data best."""
-    smooth = next(_functions(state, chosen, seed), None)
+    """The change, function of a channel, or sinusoid, that explains what is left beyond chance and predicts left-out
+    data best; a term where there is neither function nor sinusoid."""
+    smooth, terms = shapes.families(state)
+    sought = _of_family(state, *smooth, chosen, seed), shapes.sought_waves(state, chosen, seed)
+    found = [best for best in (next(x, None) for x in sought) if best is not None]
+    found = found or list(islice(_of_family(state, *terms, chosen, seed), 1))
+    gains = [(holdout_gain_of(state, best.component, chosen), best) for best in found]
     change = shapes.sought_change(state, chosen, seed=seed)
-    if change is not None and (smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen)):
-        return change
-    return smooth
+    gains = gains if change is None else [(change.gained, change), *gains]
+    return max(gains, key=lambda pair: pair[0], default=(0.0, None))[1]
 
 
-def _functions(state: SelectionState, chosen: Sequence[Component], seed: int) -> Iterator[shapes.FoundComponent]:
-    """Those beyond chance, family by family, the highest score first."""
+def _of_family(
+    state: SelectionState, components: list[Component], least: float, chosen: Sequence[Component], seed: int
+) -> Iterator[shapes.FoundComponent]:
+    """Those of a family beyond chance, the highest score first."""
     tried, rate = state.settings.unnamed_tried, state.settings.unnamed_false_alarm_rate
-    for folds, components, least in shapes.families(state):
-        batches, leaders = in_batches(state, components, folds), list[tuple[float, Component]]()
-        for batch in batches:
-            trials, by_label = state.with_components(batch, chosen, folds), {c.label: c for c in batch}
-            noise = screening.SharedNoise(seed, trials.folds, len(trials.outputs), trials.settings)
-            scores = screening.screen(trials, noise=noise).candidate_scores[:tried]
-            leaders += [(standing.score, by_label[standing.effect]) for standing in scores]
-        for _, component in sorted(leaders, key=lambda leader: -leader[0])[:tried]:
-            trial = Trial(state, component, chosen, folds)
-            if trial.gain > 0.0 and trial.share >= least:
-                p = trial.chance([state.with_components(batch, chosen, folds) for batch in batches], seed)
-                if p <= rate:
-                    yield shapes.FoundComponent(state, component, trial.share, p)
+    batches, leaders = in_batches(state, components), list[tuple[float, Component]]()
+    for batch in batches:
+        trials, by_label = state.with_components(batch, chosen), {c.label: c for c in batch}
+        noise = screening.SharedNoise(seed, trials.folds, len(trials.outputs), trials.settings)
+        scores = screening.screen(trials, noise=noise).candidate_scores[:tried]
+        leaders += [(standing.score, by_label[standing.effect]) for standing in scores]
+    for _, component in sorted(leaders, key=lambda leader: -leader[0])[:tried]:
+        trial = Trial(state, component, chosen)
+        if trial.gain > 0.0 and trial.share >= least:
+            p = trial.chance([state.with_components(batch, chosen) for batch in batches], seed)
+            if p <= rate:
+                yield shapes.FoundComponent(state, component, trial.share, p)
 
 
 def _changing_in(extension: Extension, seed: int) -> tuple[float, shapes.FoundComponent] | None:
@@ -184,9 +190,9 @@ def _standing_in(extension: Extension) -> tuple[float, shapes.FoundComponent] | 
     # less than a function of its own channel where the parameters of the model beside it extrapolate.
     state, best = extension.state, None
     columns = state.full.own_columns(*state.active)
-    parts = [(f, batch, least) for f, every, least in shapes.families(state) for batch in in_batches(state, every, f)]
-    for folds, components, least in parts:
-        trial = state.with_components(components, (), folds)
+    parts = [(batch, least) for every, least in shapes.families(state) for batch in in_batches(state, every)]
+    for components, least in parts:
+        trial = state.with_components(components, ())
         bare, every = trial.columns(()), trial.component_columns
         products = trial.products.shifted(columns, -state.departure[columns])
         taken_out = replace(trial, products=products, active=())
@@ -463,7 +469,8 @@ class _Model:
         state, effects = self.state, {e.name: e for e in self.state.full.candidates}
         causes = sum(len(effects[name].parameters) + np.log(len(effects)) for name in state.active)
         offsets = len(state.apart) * (len(state.responses.flights.lengths) - 1)
-        functions = sum(f.basis.shape[2] + 1.0 for f in self.functions)
+        waves = [np.log(len(shapes.frequencies(state))) for f in self.functions if f.periodic]
+        functions = sum(f.basis.shape[2] + 1.0 for f in self.functions) + sum(waves)
         return float(causes + offsets + functions + sum(term.cost for term in self.terms))
 
     def less(self, item: str | SelectedTerm) -> _Model:
@@ -485,15 +492,21 @@ class _Model:
         return nats(fits[1].deviance - fits[0].deviance, float(inflation)) - self.cost + other.cost
 
     def degrades(self, other: _Model) -> bool:
-        before, after = (LeftOut.first_order(model.wide, model.state.active) for model in (other, self))
-        return self.state.settings.degrades(*after.gain(before))
+        """Whether it predicts left-out data worse: manoeuvres, or parts of each where there is a wave."""
+        models, state = (other, self), self.state
+        waves = any(f.periodic for f in (*self.functions, *other.functions))
+        folds = shapes.chunks(state) if waves else state.folds
+        wide = [(x.state.with_components((), x.components, folds), x.state.active) for x in models]
+        before, after = (LeftOut.first_order(*pair) for pair in wide)
+        return state.settings.degrades(*after.gain(before))
 
-    def curved(self, curves: Sequence[Component]) -> _Model:
-        model = self
-        for curve in curves:
+    def curved(self, curves: Sequence[Component], waves: Sequence[Component] = ()) -> _Model:
+        """With the polynomials that earn their cost; before them the waves, if that explains more."""
+        model, plain = self, self.curved(curves) if waves else self
+        for curve in (*waves, *curves):
             wider = replace(model, functions=(*model.functions, curve))
             model = wider if wider.beyond(model) > 0.0 else model
-        return model
+        return model if not waves or model.beyond(plain) > 0.0 else plain
 
     def refitted(self) -> _Model:
         return replace(self, state=moved(self.state, selection_state.optimum(self.wide, range(len(self.state.folds)))))
@@ -504,7 +517,9 @@ class _Model:
         while True:
             inside = [item for item in items if item in (*model.state.active, *model.state.apart)]
             trials = side_by_side(model.less, (*inside, *model.terms))
-            rivals = [replace(x, functions=tuple(curves)) for x in trials[: len(inside)]] + trials[len(inside) :]
+            others = [_other_forms(model.state, [item], curves) for item in inside]
+            rivals = [replace(x, functions=tuple(c)) for x, c in zip(trials, others, strict=False)]
+            rivals += trials[len(inside) :]
             gains = [rival.beyond(model) for rival in rivals]
             if not gains or max(gains) <= 0.0:
                 return model.curved(curves)
@@ -526,7 +541,8 @@ class _Model:
         reached = _reached(state, self.state, ())
         terms = tuple(_beside(state, reached, self.terms, [name], self.state))
         curves = [curve for coefficient in reached for curve in shapes.polynomials(state, coefficient)]
-        return _Model(state, terms, self.functions).curved(curves)
+        curves = _other_forms(self.state, [name], curves)
+        return _Model(state, terms, self.functions).curved(curves, shapes.waves(state, reached))
 
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
@@ -594,7 +610,7 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
     columns = {name: shapes.term_of(state, name) for name in causes if name in aerodynamic}
     named = {name: c.component for name, c in columns.items() if c is not None and _is_smooth(c.term)}
     rest = [name for name in causes if name not in named]
-    if not (rest or state.apart):
+    if not (causes or state.apart):
         return Forms((), ())
     start, named_only = _Model(state), _without(state, rest, ())
     reached = _reached(named_only, state, {f.coefficient for f in left.functions})
@@ -611,20 +627,22 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
         more = tuple(term for term in terms if term.column.component.label not in same)
         models += [_Model(_without(state, out, state.apart), more)] if more else []
     curves = [curve for coefficient in reached for curve in shapes.polynomials(named_only, coefficient)]
+    waves = shapes.waves(named_only, reached)
+    models += [_Model(state, (), (wave,)) for wave in waves if _Model(named_only).curved([wave]).functions]
     bare = [replace(model, state=_without(model.state, rest, ())) for model in models]
-    wholes, items = [model.curved(curves).refitted() for model in bare], [*rest, *state.apart]
+    wholes, items = [model.curved(curves, waves).refitted() for model in bare], [*causes, *state.apart]
     tried = [model.eliminated(items, whole.functions) for model, whole in zip(models, wholes, strict=True)]
     best = _best_model(start, tried)
     if best is start:
         model, better = start, [(0.0, start)]
         while better:  # terms in place of one cause after another, as long as they are decisively better
             model = max(better, key=lambda pair: pair[0])[1]
-            others = model.in_place_of([name for name in rest if name in model.state.active])
+            others = model.in_place_of([name for name in causes if name in model.state.active])
             better = [(x, other) for other in others if (x := other.beyond(model)) > state.settings.decisive]
         tried.append(model.eliminated(items, curves))
         best = _best_model(start, tried)
     idle = _idle(replace(best, functions=()), curves)
-    rivals = _rivals(best, [name for name in rest if name in best.state.active], [*wholes, *tried])
+    rivals = _rivals(best, [name for name in causes if name in best.state.active], [*wholes, *tried])
     functions = [*best.functions, *(f for f in idle.values() if f not in best.functions)]
     shares = [(f, Trial(best.state, f, [c for c in best.components if c is not f]).share) for f in functions]
     least = state.least_share(state.settings.unnamed_share)
@@ -657,8 +675,17 @@ def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]
 
 
 def _is_smooth(term: ProductTerm) -> bool:
-    """Whether it is a function of the state of motion: memory and separated flow are none."""
-    return all(f.code is not None and f is not shapes.SEPARATED for f in term.factors)
+    """Whether it is a function of the state of motion and its past: separated flow is none."""
+    return shapes.SEPARATED not in term.factors
+
+
+def _other_forms(
+    state: SelectionState, effects: Sequence[str], components: Sequence[Component], most: float = shapes.SAME
+) -> list[Component]:
+    """The components that are no additions `effects` in other words: that make no more than `most` of them."""
+    by_coefficient = {c.coefficient: [x for x in components if x.coefficient == c.coefficient] for c in components}
+    groups = [(group, shapes.imitated(state, effects, group)) for group in by_coefficient.values()]
+    return [c for group, made in groups for c, share in zip(group, made, strict=True) if share <= most]
 
 
 def _beside(
@@ -667,7 +694,11 @@ def _beside(
     """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
     terms = list(chosen)
     for name in reached:
-        columns = [c for c in columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME]
+        smooth, other = [c for c in columns_of(state, name) if _is_smooth(c.term)], list[Component]()
+        for past, most in ((False, shapes.SAME), (True, shapes.ALIKE)):  # a short lag is a derivative in other words
+            own = [c.component for c in smooth if (c.term.code is None) == past]
+            other += _other_forms(full, effects, own, most)
+        columns = [c for c in smooth if any(c.component is x for x in other)]
         for _ in range(state.settings.terms_most):
             best, explained = leader(state, columns, [f.column for f in terms])
             if explained <= best.cost:

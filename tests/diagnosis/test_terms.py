@@ -15,7 +15,7 @@ from gusty_flight import DT, GUST, LENGTH, SECONDS, TRUTH, gusty_flight
 from parts import few_candidates, without_accelerometers
 
 from bayes_aero.diagnosis import search as searches
-from bayes_aero.diagnosis.components import QUANTITIES, SEPARATED, Trial, columns_of, library
+from bayes_aero.diagnosis.components import QUANTITIES, SAME, SEPARATED, Trial, WaveScan, columns_of, imitated, library
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import INNOVATIONS, FoundTerm, ProductTerm
 from bayes_aero.diagnosis.selection import plausible_selection
@@ -225,6 +225,41 @@ def test_the_leader_explains_as_much_as_a_regression_says_and_is_nothing_that_a_
     label = term.column.component.label
     assert more[label] >= NEAR * max(more.values())
     assert explained == pytest.approx(0.5 * more[label] / max(term.inflation, 1.0), rel=1e-9)
+
+
+def weighed(state, *columns):
+    """What is given (m, c, k), and the residual that is left, divided by the deviations of the fit: (m c, k)."""
+    both = np.concatenate([*columns, state.left()[:, :, None]], axis=2) / np.sqrt(state.best.variance)[:, None]
+    return np.split(both.reshape(-1, both.shape[2]), [both.shape[2] - 1], axis=1)
+
+
+def test_a_wave_explains_what_a_regression_on_its_sine_and_cosine_says(calm):
+    scan = WaveScan(calm, calm.best, "Cm", np.array([0.11, 0.34]))
+    shares, B = scan.shares(calm.left()[None])[0], calm.scaled[:, :, calm.best.columns]
+    for hertz, share in zip(scan.hertz, shares, strict=True):
+        wave = scan.component(hertz).basis / calm.noise_growth[:, :, None]
+        A, left = weighed(calm, B, wave)
+        normal, k = A.T @ A, B.shape[2]
+        normal[:k, :k] = calm.best.normal  # with the priors of the parameters
+        right = A.T @ left
+        gain = right.T @ np.linalg.solve(normal, right) - right[:k].T @ np.linalg.solve(normal[:k, :k], right[:k])
+        assert share == pytest.approx(gain.item() / np.sum(left**2), rel=1e-4)
+
+
+def test_a_form_is_the_effect_itself_as_far_as_it_makes_what_the_effect_makes(calm):
+    (name,) = (e.name for e in calm.full.model.effects if "Cmq" in calm.full.parameters_of(e.name))
+    own, deviation = calm.full.own_columns(name), np.std(calm.residual, axis=0)[:, None]
+    slopes = calm.S[:, :, own]
+    columns = [c for c in columns_of(calm, "Cm") if c.term.name not in ("alpha", "elevator")][:6]  # Cma, Cmde
+    reached = np.any(slopes != 0.0, axis=(0, 2))
+    shares = imitated(calm, [name], [Component("Cm", "itself", slopes), *(c.component for c in columns)])
+    beside = calm.S[:, :, [c for c in calm.columns() if c < len(calm.theta) and c not in own]]
+    for share, basis in zip(shares, [slopes, *(c.component.basis for c in columns)], strict=True):
+        X, *others = ((x / deviation)[:, reached].reshape(-1, x.shape[2]) for x in (slopes, beside, basis))
+        others = [A / np.linalg.norm(A, axis=0) for A in others]
+        lost = [np.sum((X - A @ np.linalg.lstsq(A, X, rcond=1e-12)[0]) ** 2) for A in (others[0], np.hstack(others))]
+        assert share == pytest.approx(1.0 - lost[1] / lost[0], abs=1e-5)
+    assert shares[0] > SAME
 
 
 def test_offsets_are_central_differences_along_initial_states(calm):
