@@ -248,7 +248,7 @@ class Search:
         unreliable: tuple[Departure, ...] = (),
     ) -> SearchResult:
         """The result of a search in trajectories or innovations, with terms of the library for what is left."""
-        sought, none = partial(flown_forms, extension, seed=self.seed + 3000, progress=self.progress), Forms((), ())
+        sought, none = partial(flown_forms, extension, progress=self.progress), Forms((), ())
         what = "The form of what the catalogue does not explain was not sought"
         forms, failed = (none, ()) if unreliable else attempted(what, sought, none)
         if still := taken_as_zero(flights):

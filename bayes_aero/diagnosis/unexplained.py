@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import islice
 from types import MappingProxyType
 from typing import NamedTuple
@@ -255,7 +255,7 @@ def terms_of_coefficient(
     """Terms that describe what is left of a coefficient as well as the `functions` by which it was found."""
     columns, terms, settings = columns_of(state, coefficient), list[SelectedTerm](), state.settings
     for number in range(settings.terms_most):
-        best, _ = leader(state, columns, [f.column for f in terms])
+        best, _ = leader(state, [columns], [f.column for f in terms])
         if nats(best.gain, best.inflation) < settings.ambiguous or best.share < settings.unnamed_share:
             break
         taken = components_of(terms)
@@ -291,41 +291,51 @@ def reconsidered(state: SelectionState, terms: Sequence[SelectedTerm]) -> list[S
 
 
 def leader(
-    state: SelectionState, columns: Sequence[TermColumn], chosen: Sequence[TermColumn]
+    state: SelectionState, library: Sequence[Sequence[TermColumn]], chosen: Sequence[TermColumn]
 ) -> tuple[SelectedTerm, float]:
-    """The best term beside those chosen, and the nats that it explains."""
+    """The best term, of the library of each coefficient, beside those chosen; and the nats that it explains."""
     components, labels = [c.component for c in chosen], {c.component.label for c in chosen}
-    rest = [c for c in columns if c.component.label not in labels]
     start = state.with_components((), components)
     fit, growth, inside = start.best, start.noise_growth[:, :, None], start.inside[:, None, None]
     weight, left, B = 1.0 / fit.variance, start.left(), np.where(inside, start.scaled[:, :, fit.columns], 0.0)
-    X = np.where(inside, np.concatenate([c.component.basis for c in rest], axis=2) / growth, 0.0)
-    reached = np.any(X != 0.0, axis=(0, 2))  # of hundreds of terms only inner products, over the outputs they reach
-    of_terms = X[:, reached] * np.sqrt(weight[reached])[:, None]
-    cross = np.einsum("mck,c,mcj->kj", B[:, reached], np.sqrt(weight[reached]), of_terms, optimize=True)
-    made = inverse(fit.normal) @ cross  # what the parameters of the model make of each term
-    change = (2.0 * cross - np.einsum("mck,c,mcl->kl", B, weight, B, optimize=True) @ made) * made
-    # With the prior of the fits: a term that the parameters make as well has no other information, and gains nothing.
-    information = np.einsum("mcj,mcj->j", of_terms, of_terms) - change.sum(axis=0) + state.flat_prior(1)[1]
-    right = np.tensordot(left * weight, X, 2) - np.tensordot(left * weight, B, 2) @ made
-    n = float(np.count_nonzero(start.inside))
-    gains = -n * np.log1p(-np.minimum(right**2 / information / n, 1.0 - 1e-9))
-    order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
-    best = Trial(state, rest[order[0]].component, components)
-    colour = screening.autocorrelation_of(best.state.left(best.fit), state.folds)
+    normal, beside, n = inverse(fit.normal), np.tensordot(left * weight, B, 2), float(np.count_nonzero(start.inside))
+    gram = np.einsum("mck,c,mcl->kl", B, weight, B, optimize=True)
+
+    def explained(columns: Sequence[TermColumn]) -> tuple[np.ndarray, ...]:
+        """What columns make, what parameters of the model make of that, its estimates, and gains in deviance."""
+        X = np.where(inside, np.concatenate([c.component.basis for c in columns], axis=2) / growth, 0.0)
+        reached = np.any(X != 0.0, axis=(0, 2))  # of hundreds of terms only inner products, over the outputs they reach
+        of_terms = X[:, reached] * np.sqrt(weight[reached])[:, None]
+        cross = np.einsum("mck,c,mcj->kj", B[:, reached], np.sqrt(weight[reached]), of_terms, optimize=True)
+        made = normal @ cross
+        change = (2.0 * cross - gram @ made) * made
+        # With the prior of the fits: a term that the parameters make as well has no other information: no gain.
+        information = np.einsum("mcj,mcj->j", of_terms, of_terms) - change.sum(axis=0) + state.flat_prior(1)[1]
+        right = np.tensordot(left * weight, X, 2) - beside @ made
+        return X, made, right / information, -n * np.log1p(-np.minimum(right**2 / information / n, 1.0 - 1e-9))
+
+    groups = [[c for c in columns if c.component.label not in labels] for columns in library]
+    every = [(gain, c) for columns in groups if columns for gain, c in zip(explained(columns)[3], columns, strict=True)]
+    most = max(gain for gain, _ in every)
+    near = [c for gain, c in sorted(every, key=lambda pair: -pair[0]) if gain >= NEAR * most]
+    X, made, estimate, gains = explained(near)
+    best = Trial(state, near[0].component, components)
+    after = best.state.left(best.fit)
     # Two terms are told from each other by the residual along the difference of what they explain.
-    explain = (X[:, :, order] - B @ made[:, order]) * (right / information)[order]
+    explain = (X - B @ made) * estimate
     apart = np.concatenate([explain[:, :, :1], explain[:, :, :1] - explain[:, :, 1:]], axis=2)
-    along = screening.inflation_along(apart, weight, state.folds, colour)
-    lost = np.array([0.0, *map(nats, gains[order[0]] - gains[order[1:]], along[1:])])
-    weights = weights_of(lost, [rest[j].term.cost for j in order])
-    equal = [i for i in range(len(order)) if lost[i] < state.settings.ambiguous]
+    colour, parts = screening.autocorrelation_of(after, state.folds), (after, state.responses.parts)
+    along = screening.inflation_along(apart, weight, state.folds, colour, parts)
+    lost = np.array([0.0, *map(nats, gains[0] - gains[1:], along[1:])])
+    weights = weights_of(lost, [c.term.cost for c in near])
+    equal = [i for i in range(len(near)) if lost[i] < state.settings.ambiguous]
     first = max(equal, key=lambda i: weights[i])
-    others = sorted(((rest[order[i]].term, float(weights[i])) for i in equal if i != first), key=lambda x: -x[1])
-    trial, inflation = best if first == 0 else Trial(state, rest[order[first]].component, components), float(along[0])
+    rivals, own = sorted((i for i in equal if i != first), key=lambda i: -weights[i]), near[first].component.coefficient
+    trial, inflation = best if first == 0 else Trial(state, near[first].component, components), float(along[0])
     term = SelectedTerm(
-        rest[order[first]], trial.gain, trial.share, inflation, float(weights[first]), tuple(others), float("nan"),
-        len(columns),
+        near[first], trial.gain, trial.share, inflation, float(weights[first]),
+        tuple((near[i].term, float(weights[i])) for i in rivals if near[i].component.coefficient == own), float("nan"),
+        len(every), tuple(near[i].component.label for i in rivals if near[i].component.coefficient != own),
     )  # fmt: skip
     return term, nats(fit.deviance - trial.fit.deviance, inflation)
 
@@ -349,11 +359,11 @@ def sized_terms(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[F
     return tuple(sizes)
 
 
-def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
+def terms_of_flights(state: SelectionState) -> list[SelectedTerm]:
     """Terms of all coefficients, the first added first."""
     library = [columns_of(state, name) for name in state.responses.model.coefficients]
     left = list[SelectedTerm]()
-    while len(left) < state.settings.unnamed_most and (best := _next(state, library, left, seed + len(left))):
+    while len(left) < state.settings.unnamed_most and (best := _next(state, library, left)):
         left.append(best)
     left = reconsidered(state, left)
     while left:  # those of which, beside the others, nothing sure is left go out, the least sure first
@@ -365,64 +375,30 @@ def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
 
 
 def _next(
-    state: SelectionState, library: Sequence[Sequence[TermColumn]], terms: Sequence[SelectedTerm], seed: int
+    state: SelectionState, library: Sequence[Sequence[TermColumn]], terms: Sequence[SelectedTerm]
 ) -> SelectedTerm | None:
     """The best term beside those found; None where none is beyond chance, large enough and useful."""
-    settings, noise = state.settings, screening.SharedNoise(seed, state.folds, len(state.outputs), state.settings)
-    chosen, among, leaders, gains = components_of(terms), 0, [], []
-    for columns in library:
-        left = {c.component.label: c for c in columns if c not in [term.column for term in terms]}
-        trial = state.with_components([c.component for c in left.values()], chosen)
-        scores = screening.screen(trial, noise=noise).candidate_scores
-        among, gains = among + len(left), [*gains, *((left[s.effect], s.gain) for s in scores)]
-        leaders += [(s, left[s.effect], trial) for s in scores[: settings.candidates_tried]]
-    for standing, column, trial in sorted(leaders, key=lambda leader: -leader[0].score):
-        p = _chance(trial, standing, among)
-        if p <= settings.unnamed_false_alarm_rate:
-            return _weighed(state, gains, chosen, column, p)
+    chosen, among = [term.column for term in terms], sum(map(len, library))
+    for _ in range(state.settings.candidates_tried):
+        best, explained = leader(state, library, chosen)
+        p = _chance(Trial(state, best.column.component, components_of(terms)), best, among)
+        if explained > 0.0 and p <= state.settings.unnamed_false_alarm_rate:
+            return replace(best, p_value=p)
+        library = [[c for c in columns if c is not best.column] for columns in library]
     return None
 
 
-def _chance(trial: SelectionState, standing: screening.CandidateScore, among: int) -> float:
+def _chance(trial: Trial, term: SelectedTerm, among: int) -> float:
     """The chance that noise lets some of `among` terms look as good; 1 where it is too small or predicts nothing."""
-    settings, columns = trial.settings, np.array(standing.columns, int)
-    alone = len(trial.responses.flights.lengths) == 1
-    least = trial.least_share(settings.single_share if alone else settings.unnamed_share)
-    if trial.share_of(columns) < least or standing.log_bayes <= 0.0:
-        return 1.0
-    wide = trial.wider(columns)
-    if nats(holdout_deviance_gain(trial, wide), standing.variance_inflation) < settings.ambiguous:
+    settings, alone = trial.state.settings, len(trial.state.responses.flights.lengths) == 1
+    least = trial.state.least_share(settings.single_share if alone else settings.unnamed_share)
+    if term.share < least or nats(term.gain, term.inflation) < settings.ambiguous:
         return 1.0
     # No stationary colour holds in windows, with a term in or out; and innovations are white only as far as the noise
     # of the filter is right. So it is how far the estimate moves without each part of the flights, Bonferroni over the
     # library.
-    wider = trial.fit(wide)
-    return screening.jackknife_p_value(trial, wider, columns, wider.step[-1:], among)
-
-
-def _weighed(
-    state: SelectionState, gains: list[tuple[TermColumn, float]], chosen: list[Component], first: TermColumn, p: float
-) -> SelectedTerm:
-    """The term of most weight among those, of any coefficient, that explain about as much as the leader `first`."""
-    best = next(gain for column, gain in gains if column is first)
-    near = sorted(((c, x) for c, x in gains if x >= NEAR * best), key=lambda pair: pair[0] is not first)
-    trial = state.with_components([c.component for c, _ in near], chosen)
-    colour = screening.autocorrelation_of(trial.left(trial.fit(trial.wider(trial.component_columns[0]))), trial.folds)
-    # What tells two of them apart is the residual along the difference of what they explain.
-    projected, residual = screening.PartialledRegression(trial, trial.best, trial.component_columns), trial.left()
-    apart = projected.apart(residual, projected.estimates(residual), 0, colour, trial.responses.parts)
-    lost = np.array([nats(best - gain, x) for (_, gain), x in zip(near, apart, strict=True)])
-    lost -= lost.min()
-    weights = weights_of(lost, [c.term.cost for c, _ in near])
-    close = np.flatnonzero(lost < state.settings.ambiguous)
-    rivals = sorted([(near[i][0], float(weights[i])) for i in close], key=lambda rival: -rival[1])
-    (column, weight), of = rivals[0], rivals[0][0].component.coefficient
-    trial = Trial(state, column.component, chosen)
-    standing = screening.screen(trial.state).candidate_scores[0]
-    others = tuple((rival.term, x) for rival, x in rivals[1:] if rival.component.coefficient == of)
-    elsewhere = tuple(c.component.label for c, _ in rivals if c.component.coefficient != of)
-    inflation = standing.variance_inflation
-    return SelectedTerm(column, trial.gain, trial.share, inflation, weight, others, p, 1, elsewhere)
+    at = trial.state.component_columns[0]
+    return screening.jackknife_p_value(trial.state, trial.fit, at, trial.fit.step[-1:], among)
 
 
 class Forms(NamedTuple):
@@ -564,14 +540,13 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     return forms._replace(unknown=described(left.unknown, forms))
 
 
-def flown_forms(extension: Extension, *, seed: int, progress: Progress = quiet) -> Forms:
+def flown_forms(extension: Extension, *, progress: Progress = quiet) -> Forms:
     """Terms of all coefficients for what an extended model leaves of trajectories or innovations."""
     progress("terms", 0.0)
     instead, terms = contest(extension), list[SelectedTerm]()
     forms, unknown = instead, list[UnexplainedStructure]()
     if not (instead.terms or instead.replaced):
-        sought = partial(terms_of_flights, seed=seed)
-        forms, terms = _with_terms(instead, extension.state, extension.causes, sought)
+        forms, terms = _with_terms(instead, extension.state, extension.causes, terms_of_flights)
     for term, c in zip(terms, components_of(terms), strict=True):
         unknown.append(UnexplainedStructure(c.coefficient, c.channel, term.share, term.p_value, term.elsewhere))
     return forms._replace(unknown=described(unknown, instead))
@@ -699,8 +674,8 @@ def _beside(
             own = [c.component for c in smooth if (c.term.code is None) == past]
             other += _other_forms(full, effects, own, most)
         columns = [c for c in smooth if any(c.component is x for x in other)]
-        for _ in range(state.settings.terms_most):
-            best, explained = leader(state, columns, [f.column for f in terms])
+        for _ in range(state.settings.terms_most if columns else 0):
+            best, explained = leader(state, [columns], [f.column for f in terms])
             if explained <= best.cost:
                 break
             terms.append(best)

@@ -206,7 +206,7 @@ def calm(hfb320):
 
 def test_a_hidden_term_is_found_in_trajectories_and_their_silent_twins_have_none(hfb320, calm):
     searched, silent = (
-        flown_forms(plausible_selection(state, seed=1), seed=2) for state in (in_calm_air(hfb320, {"Cma2": 0.15}), calm)
+        flown_forms(plausible_selection(state, seed=1)) for state in (in_calm_air(hfb320, {"Cma2": 0.15}), calm)
     )
     (term,) = searched.terms
     assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")
@@ -219,7 +219,7 @@ def test_the_leader_explains_as_much_as_a_regression_says_and_is_nothing_that_a_
     columns = columns_of(calm, "Cm")[:12]
     basis = calm.S[:, :, calm.full.columns(["Cma"])]
     again = replace(columns[0], component=Component("Cm", "again", basis / np.std(basis)))
-    term, explained = leader(calm, [*columns, again], ())
+    term, explained = leader(calm, [[*columns, again]], ())
     assert term.column is not again
     more = {c.component.label: calm.best.deviance - Trial(calm, c.component).fit.deviance for c in columns}
     label = term.column.component.label
@@ -317,7 +317,7 @@ def test_what_is_hidden_is_found_in_gusts_as_an_effect_or_as_a_term_beside_what_
         assert abs(size.mean - TRUTH[name]) < 4.0 * size.sd, name
     assert searched.terms == ()
     begun = replace(searched.model, state=searched.model.base, causes=(), minor=(), steps=(), sizes={})
-    forms = flown_forms(begun, seed=2)
+    forms = flown_forms(begun)
     (term,) = forms.terms
     assert [(u.coefficient, u.channel) for u in forms.unknown] == [("Cm", "alpha^2")]
     assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")
