@@ -32,6 +32,8 @@ from bayes_aero.physics.kinematics import PATH_CORE, PATH_NEEDS, RATES, STRAIGHT
 from bayes_aero.processes import blas_threads
 from bayes_aero.residuals.base import FlightPathError, rolled_unseen
 
+LIGHT_TURBULENCE = 1.0  # m/s, standard deviation of light turbulence; MIL-F-8785C, 3.7
+
 
 class KnownErrors(NamedTuple):
     """Errors of the record that were found."""
@@ -42,14 +44,21 @@ class KnownErrors(NamedTuple):
 
 
 def consistency(
-    records: Sequence[FlightRecord], card: Card, *, seed: int = 0, seek: bool = True, errors: KnownErrors | None = None
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    seed: int = 0,
+    seek: bool = True,
+    errors: KnownErrors | None = None,
+    turbulence: float = LIGHT_TURBULENCE,
 ) -> Consistency:
-    """Check the flight path of each record; where sensors disagree, `seek` the error that explains it."""
+    """Check the flight path of each record; where sensors disagree, `seek` the error that explains it. Air may be as
+    rough as all air-data channels show, up to this `turbulence` (m/s)."""
     if why := no_flight_path(records, card):
         return Consistency(why)
     flights = _flights(records, card)
     unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
-    report = Consistency("", unchecked, checks(flights, card, seed))
+    report = Consistency("", unchecked, checks(flights, card, seed, turbulence))
     if errors is None:
         if report.agreement is Agreement.AGREE or not seek:
             return report
@@ -63,7 +72,7 @@ def consistency(
     # Where the sensors disagree, they are checked again without the errors that are known.
     values = {p: x["mean"] for e in errors.errors.values() for p, x in e["parameters"].items()}
     corrected = with_corrections(flights, Model.of(errors.effects, axes=tuple(Axis)), values)
-    return replace(report, corrected=checks(corrected, card, seed))
+    return replace(report, corrected=checks(corrected, card, seed, turbulence))
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> Flights:
@@ -114,8 +123,8 @@ def _plain(effect: Effect, estimates: Mapping[str, Size], joint: Mapping[str, fl
     return {"claim": effect.claim, "minor": minor, "parameters": parameters, "joint": dict(joint)}
 
 
-def checks(flights: Flights, card: Card, seed: int) -> tuple[PathCheck, ...]:
-    return tuple(path_check(path) for path in _paths(flights, card, seed))
+def checks(flights: Flights, card: Card, seed: int, turbulence: float = LIGHT_TURBULENCE) -> tuple[PathCheck, ...]:
+    return tuple(path_check(path, turbulence) for path in _paths(flights, card, seed))
 
 
 def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict[str, float]:
@@ -471,10 +480,11 @@ class _RecordedPath:
         return added
 
 
-def path_check(path: _RecordedPath) -> PathCheck:
-    """Compare the flight path of one record, in SI and without known errors of sensors, with what noise permits."""
+def path_check(path: _RecordedPath, turbulence: float) -> PathCheck:
+    """Compare the flight path of one record, in SI and without known errors of sensors, with what noise and no more
+    than this `turbulence` permit."""
     met, constant = path.gusts_shown(), path.constant
-    turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))
+    turbulence = float(np.clip(MARGIN * met, CALM, turbulence))
     drawn = path.residuals(path.disturbances(turbulence, REPLICATES)) - path.recorded
     each = zip(constant.items(), np.eye(len(constant)), strict=True)
     # A constant error of each sensor by itself, as large as is permitted.
@@ -539,7 +549,6 @@ DEFAULT_NOISE = {
 """Standard deviation of each sensor's noise where the card states none, SI: a usual flight-test installation."""
 
 NOISIER = 3.0  # times the stated noise: white noise that a record shows is no disagreement up to here
-LIGHT_TURBULENCE = 1.0  # m/s, standard deviation of light turbulence; MIL-F-8785C, 3.7
 CALM = 0.3  # m/s: air is never taken for calmer
 SCALE_LENGTH = 533.0  # m, of turbulence above 2000 ft (1750 ft): MIL-F-8785C, 3.7.2
 MARGIN = 2.0  # times the calmest air-data channel's own gusts: turbulence comes and goes within a record

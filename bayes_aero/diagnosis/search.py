@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis import selection, selection_state
 from bayes_aero.diagnosis.components import has_chunks, offsets_left
-from bayes_aero.diagnosis.consistency import check_sensors, consistency, errors_of_path, widened
+from bayes_aero.diagnosis.consistency import LIGHT_TURBULENCE, check_sensors, consistency, errors_of_path, widened
 from bayes_aero.diagnosis.result import FLIGHT_PATH, FoundTerm, NoiseReport, ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening import lag1_within, screen
 from bayes_aero.diagnosis.selection import Extension
@@ -118,7 +118,9 @@ class Search:
         if self.settings.anyway:
             return ()
         errors = None if sensors is None else errors_of_path(sensors)
-        check = partial(consistency, self.records, self.card, seed=self.seed, errors=errors)
+        # Gusts that all air-data channels show are the filter's to estimate, however strong.
+        turbulence = np.inf if sensors is None else LIGHT_TURBULENCE
+        check = partial(consistency, self.records, self.card, seed=self.seed, errors=errors, turbulence=turbulence)
         report, _ = attempted("Whether sensors contradict each other was not checked", check, Consistency("it failed"))
         return report.beyond({name: tolerance.value for name, tolerance in self.card.tolerances.items()})
 

@@ -172,7 +172,7 @@ def _election(state: SelectionState, seed: int, barred: Sequence[str], first: bo
     for standing in (s for s in ranking.candidate_scores if s.effect not in barred):
         leaders.setdefault(standing.effect, standing)
     for standing in list(leaders.values())[: settings.candidates_tried]:
-        if explained(state, standing) < state.least_share(settings.least_share) or mixes_noise(state, standing):
+        if explained(state, standing) < state.least_of_effect or mixes_noise(state, standing):
             continue
         if not addition_gain(state, state.wider(standing.columns)) > 0.0:
             continue
@@ -242,7 +242,7 @@ def removed(state: SelectionState, effect: str) -> SelectionState:
 
 def _reconsidered(state: SelectionState, barred: Sequence[str]) -> SelectionState:
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
-    least = state.least_share(state.settings.least_share)
+    least = state.least_of_effect
 
     def bayes_within(candidate: CandidateScore) -> float:
         """Log Bayes factor of an addition under the colour that is left with it in."""

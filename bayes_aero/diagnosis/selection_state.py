@@ -59,6 +59,7 @@ class DiagnosisSettings:
     candidates_tried: int = 8  # leaders considered in one selection
     candidates_refitted: int = 3  # leaders that are fitted and judged by the block jackknife
     least_share: float = 0.04  # of a coefficient's remaining variance: imperfect regressors imitate less
+    least_share_white: float = 0.01  # the same of innovations, whose regressors the filter has smoothed
     least_share_correlated: float = 0.3  # of its gain that an effect must keep when noise of coefficients may correlate
     exchange_margin: float = 0.02  # of a candidate's gain by which another must exceed it to take its place
     decisive: float = 3.0  # nats by which one of two extensions must be the better
@@ -510,6 +511,11 @@ class SelectionState:
     def least_share(self, share: float) -> float:
         """A least share of the variance of means over `FILTER_STEP` samples, as of these: noise averages out."""
         return share * self.responses.averaged / FILTER_STEP
+
+    @property
+    def least_of_effect(self) -> float:
+        """Least share of the variance that an addition must explain."""
+        return self.least_share(self.settings.least_share_white if self.responses.white else self.settings.least_share)
 
     @cached_property
     def wide(self) -> SelectionState:
