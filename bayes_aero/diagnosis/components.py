@@ -445,7 +445,7 @@ def waves(state: SelectionState, coefficients: Sequence[str]) -> list[Component]
         residual = state.left()[None]
         best = hertz[np.argmax(WaveScan(state, state.best, name, hertz).shares(residual))]
         step = hertz[1] - hertz[0] if len(hertz) > 1 else 0.0
-        finer = WaveScan(state, state.best, name, np.linspace(best - step, best + step, 2 * FINER + 1))
+        finer = WaveScan(state, state.best, name, np.linspace(max(best - step, hertz[0]), best + step, 2 * FINER + 1))
         found.append(finer.component(float(finer.hertz[np.argmax(finer.shares(residual))])))
     return found
 

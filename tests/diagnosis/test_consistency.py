@@ -185,6 +185,20 @@ def test_a_record_is_in_gusts_whatever_moves_the_aircraft(seed):
     assert 0.4 < size < 1.4
 
 
+def test_rough_air_that_all_air_data_show_contradicts_no_sensor_and_a_wrong_airspeed_does():
+    """Gusts of 1.8 m/s: more than light turbulence, but not more than a filter may estimate."""
+    card, rough = read_card("hfb320"), gusty_flight(3, gust={"w": 1.8, "u": 1.8})
+    wrong = changed(rough, airspeed=rough["airspeed"] + 30.0 * np.sin(rough.time / 6.0))
+    tolerances = {name: tolerance.value for name, tolerance in card.tolerances.items()}
+
+    def beyond(record, **air):
+        return {d.channel for d in sensors.consistency([record], card, seek=False, **air).beyond(tolerances)}
+
+    assert beyond(rough)
+    assert not beyond(rough, turbulence=np.inf)
+    assert "airspeed" in beyond(wrong, turbulence=np.inf)
+
+
 @pytest.mark.parametrize("error", ["airspeed_scale", "vane_position", "late sideslip"])
 def test_an_error_of_one_sensor_is_no_gust(card, error):
     if error in CATALOGUE:
