@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.result import ParameterChange, ProductTerm, TermFactor
-from bayes_aero.diagnosis.selection import holdout_deviance_gain, recording_noise
+from bayes_aero.diagnosis.selection import holdout_deviance_gain
 from bayes_aero.diagnosis.selection_state import Component, RegressionFit, SelectionState, inverse, manoeuvres, moves
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.flight.health import noise_of
@@ -449,7 +449,7 @@ def _promising(state: SelectionState, chosen: Sequence[Component], least: float)
     # What noise of the recorded size adds to the sensitivities, scaled as those are. Added once more it adds as much as
     # the noise that is there already, as in `selection.noise_effect`.
     flights, rng, fit = state.responses.flights, np.random.default_rng(0), whole.best
-    added = {n: sd * rng.standard_normal(flights.n) for n, sd in recording_noise(flights).items()}
+    added = {n: sd * rng.standard_normal(flights.n) for n, sd in flights.noise.items()}
     noisy = flights.channels | {name: flights.channels[name] + x for name, x in added.items()}
     slopes = state.responses.with_channels(noisy).linearise(state.theta, columns)[1][:, state.kept_outputs]
     scan = ChangeScan(whole, fit, columns, over, slopes / state.noise_growth[:, :, None] - state.scaled[:, :, columns])

@@ -5,11 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import block_diag, csr_array
 
 from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.effect import Effect, Stage
@@ -17,7 +18,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights, cuts_of
 from bayes_aero.physics.aircraft import Aircraft, Axis
-from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
+from bayes_aero.physics.filters import FILTER_STEP, SPENCER, differentiate_joined, smooth
 from bayes_aero.physics.kinematics import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
 from bayes_aero.processes import side_by_side
 from bayes_aero.units import number
@@ -44,6 +45,18 @@ class ResidualModel(ABC):
         """The same model on flights with these channels."""
         flights = replace(self.flights, channels=dict(channels))  # pyright: ignore[reportArgumentType]
         return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
+
+    @cached_property
+    def noisy(self) -> list[ResidualModel]:
+        """The same with the noise of one recorded channel doubled, for each channel that the residuals depend on."""
+        # Which these are shows where all effects are in. Draws are the same for all models of the flights.
+        rng, channels, outputs = np.random.default_rng(1), self.flights.channels, self.outputs
+        away = np.array([p.start + p.prior.normal[1] / 10.0 for p in self.model.free])
+        theta = np.clip(away, *np.array([p.bounds for p in self.model.free], float).reshape(-1, 2).T)
+        noise = {n: sd * rng.standard_normal(self.flights.n) for n, sd in self.flights.noise.items() if sd > 0.0}
+        each = [self.with_channels(channels | {name: channels[name] + x}) for name, x in noise.items()]
+        whole, *parts = side_by_side(lambda model: model.residuals(theta, outputs), [self, *each])
+        return [model for model, part in zip(each, parts, strict=True) if not np.array_equal(part, whole)]
 
     @property
     def nameless(self):
@@ -179,6 +192,21 @@ class Blockwise(ResidualModel):
         own = self.manoeuvre[:, None] == np.arange(self.manoeuvre[-1] + 1)  # m k
         path = np.eye(len(outputs))[:, [c for c, name in enumerate(outputs) if name not in self.model.coefficients]]
         return np.einsum("mk,cp->mckp", own, path).reshape(len(own), len(outputs), -1)
+
+
+@lru_cache(maxsize=8)
+def smoothed_means(lengths: tuple[int, ...]) -> csr_array:
+    """The matrix that makes of series of manoeuvres, end to end, the means over blocks of the smoothed series."""
+    # It is read off combs, whose teeth are too far apart for two to reach one block.
+    parts, apart = [], FILTER_STEP + 2 * len(SPENCER)
+    for n in lengths:
+        combs, m = np.arange(n) % apart == np.arange(apart)[:, None], n // FILTER_STEP
+        smoothed = np.stack([smooth(comb.astype(float)) for comb in combs])[:, : m * FILTER_STEP]
+        means = smoothed.reshape(apart, m, FILTER_STEP).mean(axis=2)
+        comb, row = np.nonzero(means)
+        tooth = comb + apart * np.rint((FILTER_STEP * row + FILTER_STEP // 2 - comb) / apart).astype(int)
+        parts.append(csr_array((means[comb, row], (row, tooth)), shape=(m, n)))
+    return csr_array(block_diag(parts))
 
 
 # --- Windows of output error, between which the scatter tests effects where there are no accelerometers.
@@ -320,7 +348,7 @@ class FlightPathError(Blockwise):
             scales[name] = (up - down) / (2.0 * step)
         aircraft = model.actual_aircraft(values, f.aircraft)
         residuals = differences(self.outputs, signals, aircraft, scales, tuple(sines))
-        residual = self.block(np.stack([smooth_joined(x, *ends[1:]) for x in residuals.T], axis=1))
+        residual = smoothed_means(f.lengths) @ residuals
         residual.flags.writeable = False
         self._cache[key] = residual
         while len(self._cache) > CACHE_SIZE:

@@ -162,9 +162,7 @@ class _AddedToEquations:
         return self.responses.evaluate(self.theta)[1]
 
     def columns(self, coefficient: str, made: base.Made, outputs: Sequence[str], _deviation: Float[np.ndarray, " c"]):
-        ends = tuple(np.asarray(self.responses.flights.channels[name]) for name in ("first", "last"))
-        raw = np.stack([smooth_joined(x, *ends) for x in made(self.signals)], axis=1)
-        series = np.asarray(self.responses.block(raw)).T
+        series = (base.smoothed_means(self.responses.flights.lengths) @ made(self.signals).T).T
         slopes = np.zeros((*series.shape, len(outputs)))
         slopes[:, :, outputs.index(coefficient)] = series
         return series, slopes, np.sqrt(np.mean(series**2, axis=1))

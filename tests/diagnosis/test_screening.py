@@ -347,7 +347,7 @@ def test_a_whole_covariance_leaves_nothing_to_sums_of_outputs(projected):
 
 
 @pytest.mark.parametrize("share", [0.02, 1.0])
-def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_permit(monkeypatch, share):
+def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_permit(share):
     """y = a x, x recorded with noise: least squares gives a V/(V + s2), and a true slope is within the bounds.
 
     `share` of what is left is that noise, of whatever colour. Closed form: the lowest bias is -r2/(a var(x)), r2 what
@@ -362,14 +362,9 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
     left = y - estimate * beta
     r2 = float(np.mean(left**2))
 
-    def with_channels(channels):
-        x = channels["beta"]
-        return SimpleNamespace(linearise=lambda theta, _: ((y - theta[0] * x)[:, None], x[:, None, None]))
-
-    responses = SimpleNamespace(
-        flights=SimpleNamespace(channels={"beta": beta}, n=n), with_channels=with_channels, outputs=("CY",)
-    )
-    monkeypatch.setattr(selection, "recording_noise", lambda _: {"beta": sd})
+    x = beta + sd * rng.standard_normal(n)
+    noisy = SimpleNamespace(linearise=lambda theta, _: ((y - theta[0] * x)[:, None], x[:, None, None]))
+    responses = SimpleNamespace(noisy=[noisy], outputs=("CY",))
     effect = CATALOGUE["sideslip_side_force"]
     fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[beta @ beta / r2]]), np.array([r2]), 0.0)
     state = state_of(
