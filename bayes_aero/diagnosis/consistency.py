@@ -29,7 +29,7 @@ from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import NO_AIRCRAFT, Axis
 from bayes_aero.physics.filters import differentiate_joined
 from bayes_aero.physics.kinematics import PATH_CORE, PATH_NEEDS, RATES, STRAIGHT, integral, path_outputs, path_rates
-from bayes_aero.processes import blas_threads
+from bayes_aero.processes import blas_threads, side_by_side
 from bayes_aero.residuals.base import FlightPathError, rolled_unseen
 
 
@@ -115,7 +115,7 @@ def _plain(effect: Effect, estimates: Mapping[str, Size], joint: Mapping[str, fl
 
 
 def checks(flights: Flights, card: Card, seed: int) -> tuple[PathCheck, ...]:
-    return tuple(path_check(path) for path in _paths(flights, card, seed))
+    return tuple(side_by_side(path_check, _paths(flights, card, seed)))
 
 
 def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict[str, float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from bayes_aero.diagnosis import components as shapes
 from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.components import SAME, TermColumn, Trial, columns_of, holdout_gain_of, in_batches, likeness
 from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm, Size, UnexplainedStructure
-from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed, truncated
+from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed
 from bayes_aero.diagnosis.selection_state import (
     Component,
     DiagnosisSettings,
@@ -467,12 +467,9 @@ class _Model:
         return float(causes + offsets + functions + sum(term.cost for term in self.terms))
 
     def less(self, item: str | SelectedTerm) -> _Model:
-        state = self.state
         if isinstance(item, SelectedTerm):
             return replace(self, terms=tuple(term for term in self.terms if term is not item))
-        if item in state.apart:
-            return replace(self, state=moved(state, state.theta, apart=tuple(n for n in state.apart if n != item)))
-        return replace(self, state=truncated(state, [name for name in state.active if name != item]))
+        return replace(self, state=_lessened(self.state, item))
 
     def beyond(self, other: _Model) -> float:
         """Nats by which it explains more than another, the costs of both counted."""
@@ -527,6 +524,14 @@ class _Model:
         terms = tuple(_beside(state, reached, self.terms, [name], self.state))
         curves = [curve for coefficient in reached for curve in shapes.polynomials(state, coefficient)]
         return _Model(state, terms, self.functions).curved(curves)
+
+
+@lru_cache(maxsize=16)  # terms go out one after another beside the same state
+def _lessened(state: SelectionState, item: str) -> SelectionState:
+    """The state without one of its additions or offsets, all else as it is."""
+    if item in state.apart:
+        return moved(state, state.theta, apart=tuple(n for n in state.apart if n != item))
+    return removed(state, item)
 
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:

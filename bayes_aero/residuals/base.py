@@ -19,7 +19,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights, cuts_of
 from bayes_aero.physics.aircraft import Aircraft, Axis
 from bayes_aero.physics.filters import FILTER_STEP, SPENCER, differentiate_joined, smooth
-from bayes_aero.physics.kinematics import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
+from bayes_aero.physics.kinematics import ANGLES, PATH_NEEDS, RATES, as_symmetric, integral, path_outputs, path_rates
 from bayes_aero.processes import side_by_side
 from bayes_aero.units import number
 
@@ -319,7 +319,10 @@ class FlightPathError(Blockwise):
 
     @cached_property
     def _on_record(self) -> tuple[Effect, ...]:
-        return tuple(e for e in self.model.acting if e.stage in RECORD_STAGES)
+        acting = (e for e in self.model.acting if e.stage in RECORD_STAGES)
+        return tuple(
+            e for e in acting if e.stage is Stage.AIRCRAFT or not set(PATH_NEEDS).isdisjoint(e.example.increments)
+        )
 
     def _residual(self, theta: Theta) -> Residual:
         """Residuals at a parameter vector, read only; stored, because searches repeat the same vectors."""

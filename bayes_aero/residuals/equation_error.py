@@ -36,6 +36,7 @@ from bayes_aero.residuals import base
 from bayes_aero.units import number
 
 DIRECTIONS_AT_ONCE = 4  # most calls need no more, and larger ones are no slower
+ADDED_KEPT = 4  # parameter vectors at which the signals are kept
 RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect may change
 LATERAL_RESPONSE = ("p", "r", "ay")  # and those of the lateral axis
 
@@ -89,8 +90,16 @@ class EquationError(base.Blockwise, eqx.Module):
         begins[: len(first)] = first
         return _Padded(replace(self, flights=padded), regression, begins)
 
+    @cached_property
+    def _added(self) -> dict[bytes, _AddedToEquations]:
+        return {}
+
     def added(self, theta: base.Theta) -> _AddedToEquations:
-        return _AddedToEquations(self, theta)
+        """Kept for a while: it is asked for again for every coefficient."""
+        kept = self._added.setdefault(theta.tobytes(), _AddedToEquations(self, theta))
+        while len(self._added) > ADDED_KEPT:
+            self._added.pop(next(iter(list(self._added)), b""), None)  # another thread may have taken it out
+        return kept
 
     def linearise(
         self, theta: base.Theta, columns: Int[np.ndarray, " j"] | None = None

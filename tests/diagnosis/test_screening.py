@@ -363,8 +363,13 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
     r2 = float(np.mean(left**2))
 
     x = beta + sd * rng.standard_normal(n)
-    noisy = SimpleNamespace(linearise=lambda theta, _: ((y - theta[0] * x)[:, None], x[:, None, None]))
-    responses = SimpleNamespace(noisy=[noisy], outputs=("CY",))
+
+    def model(x, **more):
+        residual = lambda theta, *_: (y - theta[0] * x)[:, None]  # noqa: E731
+        linearise = lambda theta, _: (residual(theta), x[:, None, None])  # noqa: E731
+        return SimpleNamespace(residuals=residual, linearise=linearise, outputs=("CY",), **more)
+
+    responses = model(beta, noisy=[model(x)])
     effect = CATALOGUE["sideslip_side_force"]
     fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[beta @ beta / r2]]), np.array([r2]), 0.0)
     state = state_of(
