@@ -290,7 +290,7 @@ class TermColumn:
 
 def columns_of(state: SelectionState, coefficient: str, given: Sequence[ProductTerm] = ()) -> list[TermColumn]:
     """The library's terms in one coefficient, or those `given`, as the residuals show them to first order."""
-    added, flights = state.responses.added(state.theta), state.responses.flights
+    added, flights = state.added, state.responses.flights
     signals = added.signals
     if given:  # a simulation has no channel that its model does not read
         terms = [term for term in given if all(channel in signals for channel in term.channels)]

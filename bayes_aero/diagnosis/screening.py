@@ -103,25 +103,18 @@ class Middle:
     ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Under each of r colours, the diagonal over all columns (r, k), and the whole (r, w, w) of sets `wide`."""
         diagonal = np.zeros((len(colours), self.width))
-        whole = [np.zeros((len(colours), len(self.places[j]), len(self.places[j]))) for j in wide]
+        whole = [np.zeros((len(colours), len(at), len(at))) for at in (self.places[j] for j in wide)]
         phi, sigma = (np.stack([getattr(colour, name) for colour in colours]) for name in ("phi", "sigma"))
         for c, used, rows in self.pieces:
-            sets = []  # of those that reach this output: their total, and where they are in it and among the rows
-            for total, j in ((total, j) for total, j in zip(whole, wide, strict=True) if len(self.places[j]) > 1):
-                at = np.searchsorted(used, self.places[j])
-                here = np.flatnonzero(np.append(used, -1)[at] == self.places[j])
-                sets.append((total, here, at[here]))
-            pairs = np.array([(i, j) for _, _, at in sets for i in at for j in at], int).reshape(-1, 2)
-            pairs = np.concatenate([np.arange(len(rows))[:, None].repeat(2, axis=1), pairs])
+            inside = [np.isin(self.places[j], used) for j in wide]
+            sets = [np.searchsorted(used, self.places[j][here]) for j, here in zip(wide, inside, strict=True)]
+            pairs = [np.stack([at.repeat(len(at)), np.tile(at, len(at))], axis=1) for at in sets]
+            pairs = np.concatenate([np.arange(len(rows))[:, None].repeat(2, axis=1), *pairs])
             products = sigma[:, c, None] ** 2 * shaped_products(phi[:, c], rows, pairs)
-            diagonal[:, used], begin = diagonal[:, used] + products[:, : len(rows)], len(rows)
-            for total, here, at in sets:
-                block = products[:, begin : begin + len(at) ** 2].reshape(-1, len(at), len(at))
-                total[:, here[:, None], here] += block
-                begin += len(at) ** 2
-        for total, j in zip(whole, wide, strict=True):
-            if len(self.places[j]) == 1:
-                total[:, 0] = diagonal[:, self.places[j]]
+            own, *blocks = np.split(products, np.cumsum([len(rows), *(len(at) ** 2 for at in sets)]), axis=1)
+            diagonal[:, used] += own
+            for total, here, block in zip(whole, inside, blocks, strict=False):
+                total[:, np.outer(here, here)] += block
         return diagonal, whole
 
 

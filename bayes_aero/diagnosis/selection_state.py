@@ -519,6 +519,10 @@ class SelectionState:
         return linearised(self.full, self.responses, self.outputs, self.theta, self.active, self.apart, self)
 
     @cached_property
+    def added(self) -> Any:
+        return self.responses.added(self.theta)
+
+    @cached_property
     def kept_outputs(self) -> list[int]:
         return [self.responses.outputs.index(name) for name in self.outputs]
 

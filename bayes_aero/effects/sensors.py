@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from bayes_aero.arrays import sine_and_cosine, xp
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Increments, Kind, Signals, Stage, Values, effect, parameter
 from bayes_aero.parameter import Role
 from bayes_aero.physics.aircraft import Axis
@@ -85,8 +85,7 @@ ALPHA_DELAY = delay("alpha_delay", "alpha", "angle of attack", RISING)
 
 def turned(angle: Any, across: Any) -> Any:
     """By how much a velocity across the flow, as a share of the airspeed, turns it from its angle."""
-    sin, cos = sine_and_cosine(angle)
-    return xp.arctan2(across * cos, 1.0 + across * sin)
+    return xp.arctan2(across * xp.cos(angle), 1.0 + across * xp.sin(angle))
 
 
 def _vane_position(v: Values, s: Signals, *_: Any) -> Increments:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_aero.arrays import AnyArray, Samples, namespace, sine_and_cosine, xp
+from bayes_aero.arrays import AnyArray, Samples, namespace, xp
 from bayes_aero.physics.aircraft import GRAVITY, Aircraft, Position
 
 PATH = ("airspeed", "alpha", "theta", "altitude")
@@ -36,7 +36,7 @@ def path_rates(s: Mapping[str, Samples], aircraft: Aircraft, sines: Sines | None
 
 def _sines(s: Mapping[str, Samples], angles: Sequence[str] = ANGLES) -> Sines:
     """Sine and cosine of each of `angles`."""
-    return tuple(x for name in angles for x in sine_and_cosine(s[name]))
+    return tuple(f(s[name]) for name in angles for f in (xp.sin, xp.cos))
 
 
 def motion_of_path(s: Mapping[str, Samples], force: Axes, sines: Sines | None = None) -> dict[str, Samples]:
@@ -227,7 +227,7 @@ def lever_arm(rotation: Rotation, position: Position) -> Axes:
 def across_flow(along: Samples, down: Samples, alpha: Samples) -> tuple[Samples, Samples]:
     """Lift and drag from forces along body x and z (CL = CX sin alpha - CZ cos alpha, CD = -CX cos alpha - CZ sin
     alpha), and the other way: a reflection, its own inverse."""
-    sin, cos = sine_and_cosine(alpha)
+    sin, cos = xp.sin(alpha), xp.cos(alpha)
     return along * sin - down * cos, -along * cos - down * sin
 
 

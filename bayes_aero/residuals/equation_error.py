@@ -30,13 +30,12 @@ from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import LiftRegression, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
-from bayes_aero.physics.kinematics import LATERAL, PATH
+from bayes_aero.physics.kinematics import ANGLES, LATERAL, PATH
 from bayes_aero.processes import compiled_at
 from bayes_aero.residuals import base
 from bayes_aero.units import number
 
 DIRECTIONS_AT_ONCE = 4  # most calls need no more, and larger ones are no slower
-ADDED_KEPT = 4  # parameter vectors at which the signals are kept
 RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect may change
 LATERAL_RESPONSE = ("p", "r", "ay")  # and those of the lateral axis
 
@@ -90,16 +89,8 @@ class EquationError(base.Blockwise, eqx.Module):
         begins[: len(first)] = first
         return _Padded(replace(self, flights=padded), regression, begins)
 
-    @cached_property
-    def _added(self) -> dict[bytes, _AddedToEquations]:
-        return {}
-
     def added(self, theta: base.Theta) -> _AddedToEquations:
-        """Kept for a while: it is asked for again for every coefficient."""
-        kept = self._added.setdefault(theta.tobytes(), _AddedToEquations(self, theta))
-        while len(self._added) > ADDED_KEPT:
-            self._added.pop(next(iter(list(self._added)), b""), None)  # another thread may have taken it out
-        return kept
+        return _AddedToEquations(self, theta)
 
     def linearise(
         self, theta: base.Theta, columns: Int[np.ndarray, " j"] | None = None
@@ -191,7 +182,10 @@ def _residuals(padded: _Padded, theta):
     modelled, X = _modelled(model, values, signals, aircraft)
     columns = [(measured - modelled) * factors]
     if responses.path:
-        columns.append(base.differences(responses.path, signals, aircraft, scales))
+        # In a loop of its own, or the compiler makes them anew for each use.
+        angles = jnp.stack([signals[name] for name in ANGLES], axis=1)
+        sines = jax.lax.map(lambda x: jnp.stack([jnp.sin(x), jnp.cos(x)], axis=1).ravel(), angles)
+        columns.append(base.differences(responses.path, signals, aircraft, scales, tuple(sines.T)))
     residual = _smoothed(f, jnp.concatenate(columns, axis=1))
     both = _smoothed(f, jnp.concatenate([measured, modelled], axis=1))
     c = len(model.coefficients)
