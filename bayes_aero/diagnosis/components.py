@@ -482,9 +482,8 @@ def holdout_gain_of(state: SelectionState, component: Component, chosen: Sequenc
 # --- Every moment at which a parameter may take another value, all parameters at once, from cumulated products.
 # The direction of a change is the parameter's sensitivity from that moment on, the free parameters of the model
 # projected out. Inner products of such directions are differences of sums over time, so a record of minutes costs
-# milliseconds.
-# What a parameter acts through is recorded with noise, which makes its value too small: where a slope is attenuated
-# by noise alone, the parameter has not changed.
+# milliseconds. What a parameter acts through is recorded with noise, which makes its value too small: where a slope is
+# attenuated by noise alone, the parameter has not changed.
 
 NOTHING = 1e-9  # of the information of the whole parameter, below which a change of it moves nothing
 NOISY = 0.5  # share of noise beyond which a value is that of noise

@@ -292,10 +292,9 @@ def widened(extension: Extension, state: SelectionState) -> Extension:
 
 
 # --- What the flight path cannot decide about errors of sensors: those it asks for in vain, and those that others
-# imitate.
-# An offset of the pitch attitude turns gravity in the body axes. Accelerometers that are off by as much as that look
-# the same, so without another measurement (the altitude, a calm wind) the record knows the sum of both and neither
-# of them.
+# imitate. An offset of the pitch attitude turns gravity in the body axes. Accelerometers that are off by as much as
+# that look the same, so without another measurement (the altitude, a calm wind) the record knows the sum of both and
+# neither of them.
 
 
 def open_errors(extension: Extension) -> tuple[OpenError, ...]:
@@ -400,7 +399,6 @@ SPREAD = 0.6  # of the windows: a channel that exceeds in more of them does so o
 THINNED = 2000  # samples that constant errors are fitted to
 RANK = 1e-8  # constant errors that make a column weaker than this, beside others, make none of their own
 TOGETHER = 8  # records that are measured at a time
-
 
 Series = Float[np.ndarray, " n"]
 
@@ -526,9 +524,8 @@ def _measures(path: _RecordedPath, noise: np.ndarray, columns: np.ndarray) -> np
 
 
 # --- What the flight path may leave if every sensor is as good as the card says: noise, constant errors, light
-# turbulence.
-# Drawn as records of disturbances of the recorded channels, so that whatever is computed from a record can be
-# computed from disturbed ones, too, and compared in absolute terms.
+# turbulence. Drawn as records of disturbances of the recorded channels, so that whatever is computed from a record can
+# be computed from disturbed ones, too, and compared in absolute terms.
 
 DEGREE = math.pi / 180.0
 DEFAULT_NOISE = {

@@ -24,7 +24,6 @@ from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
 from bayes_aero.processes import side_by_side
 from bayes_aero.progress import Progress, quiet
-from bayes_aero.residuals.base import ResidualModel
 
 OF_NOISE = 0.5  # largest share of an addition that noise may make: beyond, it would take over its regressor's own slope
 
@@ -510,10 +509,12 @@ def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
     at, additions = fit.columns[parameters], state.full.own_columns(*state.active)
     covariance = inverse(fit.normal)[np.isin(fit.columns, additions)]
     S, weight = state.scaled[state.inside][:, :, fit.columns], 1.0 / fit.variance
+    channels, noise = state.responses.flights.channels, state.responses.noise
     plain = state.responses.residuals(state.theta, state.outputs)
 
-    def made(noisy: ResidualModel) -> tuple[np.ndarray, np.ndarray]:
+    def made(name: str) -> tuple[np.ndarray, np.ndarray]:
         """What noise of one channel adds to the outputs' variances, and its bias of the additions."""
+        noisy = state.responses.with_channels(channels | {name: channels[name] + noise[name]})
         if np.array_equal(noisy.residuals(state.theta, state.outputs), plain):
             return np.zeros(len(keep)), np.zeros(len(covariance))
         residual, slopes = noisy.linearise(state.theta, at)
@@ -521,8 +522,7 @@ def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
         dS = (slopes[:, keep] / state.noise_growth[:, :, None])[state.inside] - S[:, :, parameters]
         return np.mean(dr**2, axis=0) * weight, covariance[:, parameters] @ np.tensordot(dr * weight, dS, 2)
 
-    noisy = state.responses.noisy
-    added, biases = zip(*side_by_side(made, noisy), strict=True) if noisy else ((), ())
+    added, biases = zip(*side_by_side(made, noise), strict=True) if noise else ((), ())
     if not np.any(added):
         return {}
     scale = np.maximum(np.max(added, axis=1), 1e-12)  # a channel that adds to no output has no bias either

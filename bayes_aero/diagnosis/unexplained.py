@@ -529,9 +529,8 @@ class _Model:
 @lru_cache(maxsize=16)  # terms go out one after another beside the same state
 def _lessened(state: SelectionState, item: str) -> SelectionState:
     """The state without one of its additions or offsets, all else as it is."""
-    if item in state.apart:
-        return moved(state, state.theta, apart=tuple(n for n in state.apart if n != item))
-    return removed(state, item)
+    apart = tuple(n for n in state.apart if n != item)
+    return moved(state, state.theta, apart=apart) if item in state.apart else removed(state, item)
 
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:

@@ -53,11 +53,8 @@ def robust_covariance(
     if sum(len(r) - ORDER for r in long) >= MIN_INNOVATIONS * ORDER:
         phi = np.stack([autoregression([r[None, :, c] for r in long])[0][0] for c in range(S.shape[1])])
     shaped, shares, innovations = [], [], []
-    for (
-        r,
-        slope,
-        samples,
-    ) in stretches:  # innovations e = A r, and A^-T of the weighed sensitivities: e times these is the score
+    # Innovations e = A r, and A^-T of the weighed sensitivities: e times these is the score.
+    for r, slope, samples in stretches:
         weighed = slope * samples[:, None, None] / R[:, None]
         filters = [np.append(1.0, -lags) for lags in phi]
         innovations.append(np.stack([lfilter(f, [1.0], x) for f, x in zip(filters, r.T, strict=True)], axis=1))
@@ -324,9 +321,8 @@ def shaped_products(
     # by lag. What comes after the last sample, a quadratic form in the last filtered ones, is taken off.
     companion, eye = np.tile(np.eye(order, k=-1), (r, 1, 1)), np.eye(order)
     companion[:, 0], now = phi, np.outer(eye[0], eye[0])
-    twice = np.eye(order**2) - np.einsum("rij,rkl->rikjl", companion, companion).reshape(r, order**2, order**2)
-    both = np.linalg.solve([twice, twice.transpose(0, 2, 1)], now.reshape(-1, 1))
-    covariance, whole = both.reshape(2, r, order, order)
+    A = np.eye(order**2) - np.einsum("rij,rkl->rikjl", companion, companion).reshape(r, order**2, order**2)
+    covariance, whole = np.linalg.solve([A, A.transpose(0, 2, 1)], now.reshape(-1, 1)).reshape(2, r, order, order)
     past = np.stack([covariance[:, 0], np.tile(eye[0], (r, 1))])[:, :, ::-1].transpose(2, 0, 1)
     series = np.concatenate([past[-1:], filtered_noise(phi.T[:, None], np.zeros((t - 1, 2, r)), past)])
     autocovariance, response = series.transpose(1, 2, 0)

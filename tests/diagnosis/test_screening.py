@@ -362,14 +362,15 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
     left = y - estimate * beta
     r2 = float(np.mean(left**2))
 
-    x = beta + sd * rng.standard_normal(n)
+    def with_channels(channels):
+        x = channels["beta"]
+        residual = lambda theta, *_: (y - theta[0] * x)[:, None]
+        linearise = lambda theta, _: (residual(theta), x[:, None, None])
+        return SimpleNamespace(residuals=residual, linearise=linearise)
 
-    def model(x, **more):
-        residual = lambda theta, *_: (y - theta[0] * x)[:, None]  # noqa: E731
-        linearise = lambda theta, _: (residual(theta), x[:, None, None])  # noqa: E731
-        return SimpleNamespace(residuals=residual, linearise=linearise, outputs=("CY",), **more)
-
-    responses = model(beta, noisy=[model(x)])
+    responses = with_channels({"beta": beta})
+    flights, noise = SimpleNamespace(channels={"beta": beta}), {"beta": sd * rng.standard_normal(n)}
+    vars(responses).update(flights=flights, noise=noise, with_channels=with_channels, outputs=("CY",))
     effect = CATALOGUE["sideslip_side_force"]
     fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[beta @ beta / r2]]), np.array([r2]), 0.0)
     state = state_of(
