@@ -441,6 +441,7 @@ def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_a
         flights = join([misread(card, pitot_pressure_bias=pressure)], card)
         path = FlightPathError.of(flights, Model.of(["pitot_pressure_bias"]))
         residual = path.evaluate(np.array([pressure]))[0][:, path.outputs.index("airspeed")]
+        assert {"airspeed", "ax", "q"} <= set(path.noise) <= set(flights.noise) - {"elevator", "thrust"}
         return float(np.std(residual))
 
     assert left(258.0) == pytest.approx(left(0.0), rel=0.2)

@@ -133,15 +133,16 @@ def test_records_fitted_together_are_fitted_each_by_itself():
     assert np.abs(np.roots(np.append(1.0, -found[2].phi[0]))).max() == pytest.approx(MAX_ROOT, rel=1e-6)
 
 
-def test_middles_are_the_blocks_of_the_whole(problem):
+@pytest.mark.parametrize("count", [1, 30])  # filtered one after another, or by sums over lags
+def test_middles_are_the_blocks_of_the_whole(problem, count):
     _, S, _, folds = problem
     colour = Autocorrelation(np.array([[0.8, 0.1, 0.0], [0.3, 0.0, 0.2], [0.95, 0.0, 0.0]]), np.array([0.1, 1.0, 0.01]))
     variance, places = np.array([0.02, 1.3, 0.001]), [np.array([0]), np.array([1, 3]), np.array([2, 3, 4])]
-    diagonal, blocks = Middle(S, variance, folds, places).under_each([colour], [1, 2])
+    diagonal, blocks = Middle(S, variance, folds, places).under_each([colour] * count, [1, 2])
     whole = colour.meat(S, variance, folds)
-    np.testing.assert_allclose(diagonal[0], np.diag(whole), rtol=1e-10)
+    np.testing.assert_allclose(diagonal[-1], np.diag(whole), rtol=1e-10)
     for block, place in zip(blocks, places[1:], strict=True):
-        np.testing.assert_allclose(block[0], whole[np.ix_(place, place)], rtol=1e-10)
+        np.testing.assert_allclose(block[-1], whole[np.ix_(place, place)], rtol=1e-10)
 
 
 def test_no_noise_and_no_information_leave_numbers(problem, recwarn):
@@ -365,8 +366,7 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
     def with_channels(channels):
         x = channels["beta"]
         residual = lambda theta, *_: (y - theta[0] * x)[:, None]
-        linearise = lambda theta, _: (residual(theta), x[:, None, None])
-        return SimpleNamespace(residuals=residual, linearise=linearise)
+        return SimpleNamespace(residuals=residual, linearise=lambda theta, _: (residual(theta), x[:, None, None]))
 
     responses = with_channels({"beta": beta})
     flights, noise = SimpleNamespace(channels={"beta": beta}), {"beta": sd * rng.standard_normal(n)}
