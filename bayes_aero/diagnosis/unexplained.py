@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -469,7 +469,11 @@ class _Model:
     def less(self, item: str | SelectedTerm) -> _Model:
         if isinstance(item, SelectedTerm):
             return replace(self, terms=tuple(term for term in self.terms if term is not item))
-        return replace(self, state=_lessened(self.state, item))
+        state, kept = self.state, self.state.lessened  # terms go out one after another beside the same state
+        if item not in kept:
+            apart = tuple(n for n in state.apart if n != item)
+            kept[item] = moved(state, state.theta, apart=apart) if item in state.apart else removed(state, item)
+        return replace(self, state=kept[item])
 
     def beyond(self, other: _Model) -> float:
         """Nats by which it explains more than another, the costs of both counted."""
@@ -524,13 +528,6 @@ class _Model:
         terms = tuple(_beside(state, reached, self.terms, [name], self.state))
         curves = [curve for coefficient in reached for curve in shapes.polynomials(state, coefficient)]
         return _Model(state, terms, self.functions).curved(curves)
-
-
-@lru_cache(maxsize=16)  # terms go out one after another beside the same state
-def _lessened(state: SelectionState, item: str) -> SelectionState:
-    """The state without one of its additions or offsets, all else as it is."""
-    apart = tuple(n for n in state.apart if n != item)
-    return moved(state, state.theta, apart=apart) if item in state.apart else removed(state, item)
 
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:

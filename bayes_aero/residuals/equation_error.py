@@ -182,8 +182,7 @@ def _residuals(padded: _Padded, theta):
     modelled, X = _modelled(model, values, signals, aircraft)
     columns = [(measured - modelled) * factors]
     if responses.path:
-        # In a loop of its own, or the compiler makes them anew for each use.
-        angles = jnp.stack([signals[name] for name in ANGLES], axis=1)
+        angles = jnp.stack([signals[name] for name in ANGLES], axis=1)  # in a loop, or each use computes them anew
         sines = jax.lax.map(lambda x: jnp.stack([jnp.sin(x), jnp.cos(x)], axis=1).ravel(), angles)
         columns.append(base.differences(responses.path, signals, aircraft, scales, tuple(sines.T)))
     residual = _smoothed(f, jnp.concatenate(columns, axis=1))
