@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.result import ParameterChange, ProductTerm, TermFactor
-from bayes_aero.diagnosis.selection import holdout_deviance_gain, recording_noise
+from bayes_aero.diagnosis.selection import holdout_deviance_gain
 from bayes_aero.diagnosis.selection_state import Component, RegressionFit, SelectionState, inverse, manoeuvres, moves
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.flight.health import noise_of
@@ -274,7 +274,7 @@ class TermColumn:
 
 def columns_of(state: SelectionState, coefficient: str, given: Sequence[ProductTerm] = ()) -> list[TermColumn]:
     """The library's terms in one coefficient, or those `given`, as the residuals show them to first order."""
-    added, flights = state.responses.added(state.theta), state.responses.flights
+    added, flights = state.added, state.responses.flights
     signals = added.signals
     if given:  # a simulation has no channel that its model does not read
         terms = [term for term in given if all(channel in signals for channel in term.channels)]
@@ -542,7 +542,7 @@ def _promising(state: SelectionState, chosen: Sequence[Component], least: float)
     # What noise of the recorded size adds to the sensitivities, scaled as those are. Added once more it adds as much as
     # the noise that is there already, as in `selection.noise_effect`.
     flights, rng, fit = state.responses.flights, np.random.default_rng(0), whole.best
-    added = {n: sd * rng.standard_normal(flights.n) for n, sd in recording_noise(flights).items()}
+    added = {n: sd * rng.standard_normal(flights.n) for n, sd in flights.noise.items()}
     noisy = flights.channels | {name: flights.channels[name] + x for name, x in added.items()}
     slopes = state.responses.with_channels(noisy).linearise(state.theta, columns)[1][:, state.kept_outputs]
     scan = ChangeScan(whole, fit, columns, over, slopes / state.noise_growth[:, :, None] - state.scaled[:, :, columns])
@@ -575,9 +575,8 @@ def holdout_gain_of(state: SelectionState, component: Component, chosen: Sequenc
 # --- Every moment at which a parameter may take another value, all parameters at once, from cumulated products.
 # The direction of a change is the parameter's sensitivity from that moment on, the free parameters of the model
 # projected out. Inner products of such directions are differences of sums over time, so a record of minutes costs
-# milliseconds.
-# What a parameter acts through is recorded with noise, which makes its value too small: where a slope is attenuated
-# by noise alone, the parameter has not changed.
+# milliseconds. What a parameter acts through is recorded with noise, which makes its value too small: where a slope is
+# attenuated by noise alone, the parameter has not changed.
 
 NOTHING = 1e-9  # of the information of the whole parameter, below which a change of it moves nothing
 NOISY = 0.5  # share of noise beyond which a value is that of noise

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
@@ -29,7 +30,7 @@ from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import NO_AIRCRAFT, Axis
 from bayes_aero.physics.filters import differentiate_joined
 from bayes_aero.physics.kinematics import PATH_CORE, PATH_NEEDS, RATES, STRAIGHT, integral, path_outputs, path_rates
-from bayes_aero.processes import blas_threads
+from bayes_aero.processes import blas_threads, side_by_side
 from bayes_aero.residuals.base import FlightPathError, rolled_unseen
 
 LIGHT_TURBULENCE = 1.0  # m/s, standard deviation of light turbulence; MIL-F-8785C, 3.7
@@ -124,7 +125,7 @@ def _plain(effect: Effect, estimates: Mapping[str, Size], joint: Mapping[str, fl
 
 
 def checks(flights: Flights, card: Card, seed: int, turbulence: float = LIGHT_TURBULENCE) -> tuple[PathCheck, ...]:
-    return tuple(path_check(path, turbulence) for path in _paths(flights, card, seed))
+    return tuple(side_by_side(partial(path_check, turbulence=turbulence), _paths(flights, card, seed)))
 
 
 def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict[str, float]:
@@ -301,10 +302,9 @@ def widened(extension: Extension, state: SelectionState) -> Extension:
 
 
 # --- What the flight path cannot decide about errors of sensors: those it asks for in vain, and those that others
-# imitate.
-# An offset of the pitch attitude turns gravity in the body axes. Accelerometers that are off by as much as that look
-# the same, so without another measurement (the altitude, a calm wind) the record knows the sum of both and neither
-# of them.
+# imitate. An offset of the pitch attitude turns gravity in the body axes. Accelerometers that are off by as much as
+# that look the same, so without another measurement (the altitude, a calm wind) the record knows the sum of both and
+# neither of them.
 
 
 def open_errors(extension: Extension) -> tuple[OpenError, ...]:
@@ -409,7 +409,6 @@ SPREAD = 0.6  # of the windows: a channel that exceeds in more of them does so o
 THINNED = 2000  # samples that constant errors are fitted to
 RANK = 1e-8  # constant errors that make a column weaker than this, beside others, make none of their own
 TOGETHER = 8  # records that are measured at a time
-
 
 Series = Float[np.ndarray, " n"]
 
@@ -536,9 +535,8 @@ def _measures(path: _RecordedPath, noise: np.ndarray, columns: np.ndarray) -> np
 
 
 # --- What the flight path may leave if every sensor is as good as the card says: noise, constant errors, light
-# turbulence.
-# Drawn as records of disturbances of the recorded channels, so that whatever is computed from a record can be
-# computed from disturbed ones, too, and compared in absolute terms.
+# turbulence. Drawn as records of disturbances of the recorded channels, so that whatever is computed from a record can
+# be computed from disturbed ones, too, and compared in absolute terms.
 
 DEGREE = math.pi / 180.0
 DEFAULT_NOISE = {

@@ -20,9 +20,9 @@ from bayes_aero.inference.covariance import (
     ORDER,
     autoregression,
     cluster_covariance,
-    filtered_noise,
     jackknife_covariance,
     nats,
+    shaped_products,
     stationary_coefficients,
     stationary_series,
     variance_inflation,
@@ -37,8 +37,6 @@ Columns = Int[np.ndarray, " k"]
 Marks = Int[np.ndarray, " m"]
 
 # --- The colour of residuals: an autoregression per output, the uncertainty it leaves, and noise records made from it.
-
-TOGETHER = 10  # colours that columns are filtered for at a time: of more, fresh memory takes longer than arithmetic
 
 
 @dataclass(frozen=True)
@@ -90,45 +88,33 @@ class SharedNoise:
 class Middle:
     """`Autocorrelation.meat` of many sets of columns, each by itself, made ready once for many colours."""
 
-    # The columns of each fold and output, divided by the output's variance, stand side by side, the last block first.
+    # The columns of each fold and output, divided by the output's variance, are rows, the last block first.
 
     def __init__(
         self, S: Float[np.ndarray, "m c k"], variance: np.ndarray, folds: Sequence[slice], places: Sequence[np.ndarray]
     ) -> None:
         self.width, self.places = S.shape[2], places
         pieces = [(S[fold, c], c) for fold in folds for c in range(S.shape[1])]
-        longest = max(len(part) for part, _ in pieces)
-        self.used = [np.flatnonzero(np.any(part != 0.0, axis=0)) for part, _ in pieces]  # columns not all zero
-        rows = [
-            np.pad(part[::-1, used] / variance[c], ((longest - len(part), 0), (0, 0)))
-            for (part, c), used in zip(pieces, self.used, strict=True)
-        ]
-        self.rows = np.concatenate(rows, axis=1)
-        self.output = np.repeat([c for _, c in pieces], [len(used) for used in self.used])
-        self.begin = np.cumsum([0, *(len(used) for used in self.used)])
+        used = [np.flatnonzero(np.any(part != 0.0, axis=0)) for part, _ in pieces]  # columns not all zero
+        self.pieces = [(c, at, (part[::-1, at] / variance[c]).T) for (part, c), at in zip(pieces, used, strict=True)]
 
     def under_each(
         self, colours: Sequence[Autocorrelation], wide: Sequence[int]
     ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Under each of r colours, the diagonal over all columns (r, k), and the whole (r, w, w) of sets `wide`."""
         diagonal = np.zeros((len(colours), self.width))
-        whole = [np.zeros((len(colours), len(self.places[j]), len(self.places[j]))) for j in wide]
-        for first in range(0, len(colours), TOGETHER):
-            part = slice(first, first + TOGETHER)
-            phi = np.stack([colour.phi[self.output].T for colour in colours[part]], axis=1)
-            sigma = np.stack([colour.sigma[self.output] for colour in colours[part]])
-            shaped = filtered_noise(phi, sigma * self.rows[:, None, :])  # the columns as each colour filters them
-            squares = np.einsum("trn,trn->rn", shaped, shaped)
-            for used, begin in zip(self.used, self.begin, strict=False):
-                diagonal[part, used] += squares[:, begin : begin + len(used)]
-                for total, j in ((total, j) for total, j in zip(whole, wide, strict=True) if len(self.places[j]) > 1):
-                    at = np.searchsorted(used, self.places[j])
-                    here = np.flatnonzero(np.append(used, -1)[at] == self.places[j])
-                    rows = np.moveaxis(shaped[:, :, begin + at[here]], 0, 2)
-                    total[part, here[:, None], here] += rows @ np.moveaxis(rows, 1, 2)
-        for total, j in zip(whole, wide, strict=True):
-            if len(self.places[j]) == 1:
-                total[:, 0] = diagonal[:, self.places[j]]
+        whole = [np.zeros((len(colours), len(at), len(at))) for at in (self.places[j] for j in wide)]
+        phi, sigma = (np.stack([getattr(colour, name) for colour in colours]) for name in ("phi", "sigma"))
+        for c, used, rows in self.pieces:
+            inside = [np.isin(self.places[j], used) for j in wide]
+            sets = [np.searchsorted(used, self.places[j][here]) for j, here in zip(wide, inside, strict=True)]
+            pairs = [np.stack([at.repeat(len(at)), np.tile(at, len(at))], axis=1) for at in sets]
+            pairs = np.concatenate([np.arange(len(rows))[:, None].repeat(2, axis=1), *pairs])
+            products = sigma[:, c, None] ** 2 * shaped_products(phi[:, c], rows, pairs)
+            own, *blocks = np.split(products, np.cumsum([len(rows), *(len(at) ** 2 for at in sets)]), axis=1)
+            diagonal[:, used] += own
+            for total, here, block in zip(whole, inside, blocks, strict=False):
+                total[:, np.outer(here, here)] += block
         return diagonal, whole
 
 

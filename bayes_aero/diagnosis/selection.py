@@ -18,7 +18,6 @@ from bayes_aero.diagnosis.result import Absorbed, CancellingPair, Confirmation, 
 from bayes_aero.diagnosis.screening import CandidateScore, ScreeningResult, screen, uncertainty
 from bayes_aero.diagnosis.selection_state import SelectionState, by_manoeuvre, inverse, moved, refitted
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.flight.health import noise_of
 from bayes_aero.inference.covariance import log_density, log_score_gain, median_inflation, nats
 from bayes_aero.inference.results import Scores, score
 from bayes_aero.model.records import Flights
@@ -467,10 +466,6 @@ def implausible_candidate(effect: Effect, standing: CandidateScore) -> bool:
     return bool(implausible(effect, {n: Size(x, 0.0, "") for n, x in values.items() if math.isfinite(x)}))
 
 
-def recording_noise(flights: Flights) -> dict[str, float]:
-    return {name: noise_of(*by_manoeuvre(np.asarray(flights.channels[name]), flights)) for name in flights.recorded}
-
-
 def filtered_channels(flights: Flights) -> tuple[str, ...]:
     """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off."""
     # Third differences of white noise have a lag-1 correlation of -0.75; what is filtered, or motion, has not.
@@ -487,7 +482,7 @@ def filtered_channels(flights: Flights) -> tuple[str, ...]:
 def noise_effect(state: SelectionState) -> tuple[Float[np.ndarray, " k"], ...]:
     """What recording noise does to each estimate of a fit at its optimum: its bias, and its standard deviation."""
     flights, rng, fit = state.responses.flights, np.random.default_rng(0), state.best
-    noise, parameters = recording_noise(flights), fit.columns < len(state.theta)
+    noise, parameters = flights.noise, fit.columns < len(state.theta)
     at = fit.columns[parameters]
 
     def step(extra: Mapping[str, np.ndarray], sign: float = 1.0) -> np.ndarray:
@@ -510,23 +505,24 @@ def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
     """Lowest and highest bias of each addition's parameters by recording noise of any size that residuals permit."""
     # It is linear in the channels' variances, which sum up to no more than is left of an output; noise may be `SLOW`
     # times what is read off as white. Source: Klepper and Leamer, Econometrica 52 (1984) 163.
-    flights, rng, fit = state.responses.flights, np.random.default_rng(1), state.best
-    parameters = fit.columns < len(state.theta)
+    fit, keep, parameters = state.best, state.kept_outputs, state.best.columns < len(state.theta)
     at, additions = fit.columns[parameters], state.full.own_columns(*state.active)
     covariance = inverse(fit.normal)[np.isin(fit.columns, additions)]
-    keep = state.kept_outputs
     S, weight = state.scaled[state.inside][:, :, fit.columns], 1.0 / fit.variance
-    channels, sds = flights.channels, {name: sd for name, sd in recording_noise(flights).items() if sd > 0.0}
+    channels, noise = state.responses.flights.channels, state.responses.noise
+    plain = state.responses.residuals(state.theta, state.outputs)
 
-    def made(noisy: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def made(name: str) -> tuple[np.ndarray, np.ndarray]:
         """What noise of one channel adds to the outputs' variances, and its bias of the additions."""
-        residual, slopes = state.responses.with_channels(channels | noisy).linearise(state.theta, at)
+        noisy = state.responses.with_channels(channels | {name: channels[name] + noise[name]})
+        if np.array_equal(noisy.residuals(state.theta, state.outputs), plain):
+            return np.zeros(len(keep)), np.zeros(len(covariance))
+        residual, slopes = noisy.linearise(state.theta, at)
         dr = ((residual[:, keep] - state.residual) / state.noise_growth)[state.inside]
         dS = (slopes[:, keep] / state.noise_growth[:, :, None])[state.inside] - S[:, :, parameters]
         return np.mean(dr**2, axis=0) * weight, covariance[:, parameters] @ np.tensordot(dr * weight, dS, 2)
 
-    noisy = [{name: channels[name] + sd * rng.standard_normal(flights.n)} for name, sd in sds.items()]
-    added, biases = zip(*side_by_side(made, noisy), strict=True) if noisy else ((), ())
+    added, biases = zip(*side_by_side(made, noise), strict=True) if noise else ((), ())
     if not np.any(added):
         return {}
     scale = np.maximum(np.max(added, axis=1), 1e-12)  # a channel that adds to no output has no bias either

@@ -525,6 +525,14 @@ class SelectionState:
         return linearised(self.full, self.responses, self.outputs, self.theta, self.active, self.apart, self)
 
     @cached_property
+    def added(self) -> Any:
+        return self.responses.added(self.theta)
+
+    @cached_property
+    def lessened(self) -> dict[str, SelectionState]:  # without one of what is in, as far as they were asked for
+        return {}
+
+    @cached_property
     def kept_outputs(self) -> list[int]:
         return [self.responses.outputs.index(name) for name in self.outputs]
 

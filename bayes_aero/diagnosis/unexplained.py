@@ -22,7 +22,7 @@ from bayes_aero.diagnosis import components as shapes
 from bayes_aero.diagnosis import screening, selection_state
 from bayes_aero.diagnosis.components import TermColumn, Trial, columns_of, holdout_gain_of, in_batches
 from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, ProductTerm, Size, UnexplainedStructure
-from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed, truncated
+from bayes_aero.diagnosis.selection import Extension, LeftOut, holdout_deviance_gain, removed
 from bayes_aero.diagnosis.selection_state import (
     Component,
     DiagnosisSettings,
@@ -450,12 +450,13 @@ class _Model:
         return float(causes + offsets + functions + sum(term.cost for term in self.terms))
 
     def less(self, item: str | SelectedTerm) -> _Model:
-        state = self.state
         if isinstance(item, SelectedTerm):
             return replace(self, terms=tuple(term for term in self.terms if term is not item))
-        if item in state.apart:
-            return replace(self, state=moved(state, state.theta, apart=tuple(n for n in state.apart if n != item)))
-        return replace(self, state=truncated(state, [name for name in state.active if name != item]))
+        state, kept = self.state, self.state.lessened  # terms go out one after another beside the same state
+        if item not in kept:
+            apart = tuple(n for n in state.apart if n != item)
+            kept[item] = moved(state, state.theta, apart=apart) if item in state.apart else removed(state, item)
+        return replace(self, state=kept[item])
 
     def beyond(self, other: _Model) -> float:
         """Nats by which it explains more than another, the costs of both counted."""

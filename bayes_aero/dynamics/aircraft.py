@@ -259,9 +259,8 @@ class RigidBody(InGusts):
 # --- Longitudinal equations of motion with the effects of any model.
 # States are airspeed, alpha, theta, q, altitude, the gusts of the model and, with a lag, the separation point X. The
 # lateral motion is prescribed as recorded: p, r, beta, phi and the lateral specific force, which follows from the
-# others where no accelerometer measures it. Flat earth. In gusts the states airspeed and alpha are over ground;
-# vane, pitot tube and aerodynamics use those of the flow. A gust is uniform over the aircraft and has no angular
-# velocity.
+# others where no accelerometer measures it. Flat earth. In gusts the states airspeed and alpha are over ground; vane,
+# pitot tube and aerodynamics use those of the flow. A gust is uniform over the aircraft and has no angular velocity.
 
 LATERAL = ("p", "r", "p_dot", "r_dot", "beta", "phi", "ay")  # zero where they were not recorded
 

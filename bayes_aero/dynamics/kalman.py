@@ -73,11 +73,7 @@ def value_and_slope(f: Callable[[Array], Array], x: Float[Array, "*n s"]) -> tup
 
 
 def correct(
-    P: Square,
-    C: Float[Array, "c s"],
-    residual: Float[Array, " c *m"],
-    variance: PerOutput,
-    used: Bool[Array, " c"],
+    P: Square, C: Float[Array, "c s"], residual: Float[Array, " c *m"], variance: PerOutput, used: Bool[Array, " c"]
 ) -> tuple[Array, Array, Array, Array]:
     """Correction of the state (s, *m) by the outputs of one sample, the covariance after it, and the innovations
     (c, *m). `P`: covariance of the predicted state; `C`: derivative of the outputs by it; `residual`: measured minus

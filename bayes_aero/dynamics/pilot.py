@@ -26,9 +26,8 @@ from bayes_aero.physics.kinematics import euler_rates
 from bayes_aero.processes import compiled_at
 
 # --- The simulated aircraft in three degrees of freedom: pilot, prescribed turn, and disturbances of the
-# coefficients.
-# Bank angle and sideslip are prescribed with their rates; the yaw rate follows from them (see `Plant.turn`). Flat
-# earth, no wind. The equations of motion are those of `physics.coefficients`.
+# coefficients. Bank angle and sideslip are prescribed with their rates; the yaw rate follows from them (see
+# `Plant.turn`). Flat earth, no wind. The equations of motion are those of `physics.coefficients`.
 
 
 class FlightState(NamedTuple):
@@ -224,9 +223,8 @@ def through_gusts(
 
 
 # --- Simulation of a model in six degrees of freedom: controls about a trim, with a pilot who controls alpha, bank,
-# sideslip.
-# The same `Pilot` as in three degrees of freedom; bank and sideslip are commanded here, not prescribed. Flat earth,
-# no wind.
+# sideslip. The same `Pilot` as in three degrees of freedom; bank and sideslip are commanded here, not prescribed. Flat
+# earth, no wind.
 
 BANK, ROLL, SLIP, YAW = 0.6, 0.5, 0.5, 0.7  # aileron per bank and roll rate, rudder per sideslip and yaw rate; s
 LATERAL_CONTROLS = ("aileron", "rudder")

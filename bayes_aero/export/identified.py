@@ -25,7 +25,6 @@ from bayes_aero.physics.aircraft import LATERAL, Aircraft
 
 Operand = str | float  # the name of an input or of a step, or a number
 
-
 OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "pow": np.power,
     "sqrt": np.sqrt, "cbrt": np.cbrt, "exp": np.exp, "expm1": np.expm1, "log": np.log, "log1p": np.log1p,

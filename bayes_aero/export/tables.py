@@ -28,7 +28,6 @@ MOST_CELLS = 1_000_000
 MOST_WITH_DRAWS = 20_000_000
 INCIDENCE = "incidence"
 
-
 Axes = Mapping[str, Float[np.ndarray, " n"]]
 
 

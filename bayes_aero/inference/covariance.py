@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.fft import next_fast_len
+from scipy.linalg.lapack import dtbtrs  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.optimize import nnls
 
 from bayes_aero.arrays import AnyArray
@@ -52,11 +53,8 @@ def robust_covariance(
     if sum(len(r) - ORDER for r in long) >= MIN_INNOVATIONS * ORDER:
         phi = np.stack([autoregression([r[None, :, c] for r in long])[0][0] for c in range(S.shape[1])])
     shaped, shares, innovations = [], [], []
-    for (
-        r,
-        slope,
-        samples,
-    ) in stretches:  # innovations e = A r, and A^-T of the weighed sensitivities: e times these is the score
+    # Innovations e = A r, and A^-T of the weighed sensitivities: e times these is the score.
+    for r, slope, samples in stretches:
         weighed = slope * samples[:, None, None] / R[:, None]
         filters = [np.append(1.0, -lags) for lags in phi]
         innovations.append(np.stack([lfilter(f, [1.0], x) for f, x in zip(filters, r.T, strict=True)], axis=1))
@@ -304,6 +302,38 @@ def filtered_noise(
     for i in range(len(innovations)):
         series[i + order] += np.add.reduce(weights * series[i : i + order])
     return series[order:]
+
+
+FEW = 20  # autoregressions that filter rows one after the other; of more, sums over lags are faster
+LARGE = 1e5  # variance of a series over that of its innovation beyond which those lose too many digits
+
+
+def shaped_products(
+    phi: Float[np.ndarray, "r p"], rows: Float[np.ndarray, "n t"], pairs: Int[np.ndarray, "j 2"]
+) -> Float[np.ndarray, "r j"]:
+    """Inner products of pairs of rows, both filtered from rest by each of r autoregressions."""
+    (i, j), (r, order), (n, t) = pairs.T, phi.shape, rows.shape
+    if r <= FEW or t <= order or not n:
+        bands = [np.append(1.0, -row)[:, None] * np.ones(t) for row in phi]
+        each = (dtbtrs(band, rows.T, uplo="L", diag="U")[0].T if n else rows for band in bands)
+        return np.array([np.einsum("jt,jt->j", shaped[i], shaped[j]) for shaped in each])
+    # Were the rows filtered on into infinity, it would be their correlation times the autocovariance of the series, lag
+    # by lag. What comes after the last sample, a quadratic form in the last filtered ones, is taken off.
+    companion, eye = np.tile(np.eye(order, k=-1), (r, 1, 1)), np.eye(order)
+    companion[:, 0], now = phi, np.outer(eye[0], eye[0])
+    A = np.eye(order**2) - np.einsum("rij,rkl->rikjl", companion, companion).reshape(r, order**2, order**2)
+    covariance, whole = np.linalg.solve([A, A.transpose(0, 2, 1)], now.reshape(-1, 1)).reshape(2, r, order, order)
+    past = np.stack([covariance[:, 0], np.tile(eye[0], (r, 1))])[:, :, ::-1].transpose(2, 0, 1)
+    series = np.concatenate([past[-1:], filtered_noise(phi.T[:, None], np.zeros((t - 1, 2, r)), past)])
+    autocovariance, response = series.transpose(1, 2, 0)
+    spectra = np.fft.rfft(rows, size := int(next_fast_len(2 * t, real=True) or 2 * t))
+    lags = np.fft.irfft(spectra[i].conj() * spectra[j], size)
+    lags[:, 1:t] += lags[:, : size - t : -1]
+    last = np.stack([response[:, : t - k] @ rows[:, t - 1 - k :: -1].T for k in range(order)], axis=2)
+    found = autocovariance @ lags[:, :t].T - np.sum((last[:, i] @ (whole - now)) * last[:, j], axis=2)
+    for k in np.flatnonzero(covariance[:, 0, 0] > LARGE):
+        found[k] = shaped_products(phi[k : k + 1], rows, pairs)[0]
+    return found
 
 
 def stationary_series(

@@ -249,8 +249,7 @@ def linear_in_band(
 
 
 # --- Frequency responses of a linear card's outputs to its inputs: measured by cross spectra, and modelled.
-# Source: Bendat and Piersol, *Random Data*, 4th ed. 2010, ch. 7 and 9 (spectra of several inputs, multiple
-# coherence).
+# Source: Bendat and Piersol, *Random Data*, 4th ed. 2010, ch. 7 and 9 (spectra of several inputs, multiple coherence).
 
 SEGMENT = 10.0  # s, of the spectra; halves overlap
 DRAWS = 200  # of the parameters, for the band of the modelled response

@@ -205,7 +205,6 @@ def posterior_tree(
 LEVELS = (0.5, 0.9, 0.95)
 JITTER = 1e-11  # of the mean variance, on the diagonal: above rounding, where there is no noise
 
-
 OfDraws = Float[np.ndarray, "draws n"]
 
 

@@ -374,7 +374,6 @@ COLOURED_TOLERANCE = 1e-3  # the same per unit of variance inflation: as small r
 FIRST_DAMPING, MIN_DAMPING = 1e-2, 1e-4  # relative to the information's diagonal; long steps end in other minima
 MIN_GAIN_RATIO = 0.05  # least ratio of actual to expected gain of a step
 
-
 _simulate = compiled_at(0)(simulate)
 
 

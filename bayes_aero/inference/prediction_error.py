@@ -288,12 +288,10 @@ def fit_disturbed(
 
 
 # --- The posterior of a flight fitted with process noise: parameters, process noise and measurement noise, jointly.
-# The density is that of the fit, with the parameters' priors instead of their normal
-# approximations, and weak lognormal priors of the noise, so that the posterior is proper where a process noise is
-# not distinguishable from zero.
-# A noise or gust of hardly any size has a posterior that is flat in its logarithm below what the record can tell,
-# and falls off steeply above. Samplers therefore work on the logarithm of small and on the size of large ones
-# (`knee`).
+# The density is that of the fit, with the parameters' priors instead of their normal approximations, and weak lognormal
+# priors of the noise, so that the posterior is proper where a process noise is not distinguishable from zero. A noise
+# or gust of hardly any size has a posterior that is flat in its logarithm below what the record can tell, and falls off
+# steeply above. Samplers therefore work on the logarithm of small and on the size of large ones (`knee`).
 
 ENGINES = ("emcee", "nuts")  # the faster one first
 KNEE_OF_INTENSITY = 0.05  # of the prior's width, see `Parameter.knee`; those of noises are of the median

@@ -17,6 +17,7 @@ from bayes_aero.effect import MARKS
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import ATMOSPHERE, RULES, Card
+from bayes_aero.flight.health import noise_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import own_effects
 from bayes_aero.physics.aircraft import (
@@ -95,6 +96,12 @@ class Flights:
     @property
     def recorded(self) -> tuple[str, ...]:
         return tuple(name for name in self.channels if name not in MARKS)
+
+    @cached_property
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of the white noise of each recorded channel."""
+        ends = np.cumsum(self.lengths)[:-1]
+        return {name: noise_of(*np.split(np.asarray(self.channels[name]), ends)) for name in self.recorded}
 
     @property
     def nameless(self) -> Flights:

@@ -369,11 +369,10 @@ def _judged(
 
 
 # --- Flights that would decide tolerances: what more records make of the parameters, and so of the probability to
-# pass.
-# A record narrows the distribution of the parameters. A flight departs from the simulation in proportion to their
-# errors, so that its part by the parameters shrinks with them, and errors of the structure and gusts stay. A
-# tolerance that stays undecided with known parameters is decided by no record: the model must become better. It is
-# assumed that the estimates do not move.
+# pass. A record narrows the distribution of the parameters. A flight departs from the simulation in proportion to their
+# errors, so that its part by the parameters shrinks with them, and errors of the structure and gusts stay. A tolerance
+# that stays undecided with known parameters is decided by no record: the model must become better. It is assumed that
+# the estimates do not move.
 
 KEPT = 1e-10  # of the largest eigenvalue of a scaled covariance: directions below it are known
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import block_diag, csr_array
 
 from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.effect import Effect, Stage
@@ -17,8 +18,8 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights, cuts_of
 from bayes_aero.physics.aircraft import Aircraft, Axis
-from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
-from bayes_aero.physics.kinematics import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
+from bayes_aero.physics.filters import FILTER_STEP, SPENCER, differentiate_joined, smooth
+from bayes_aero.physics.kinematics import ANGLES, PATH_NEEDS, RATES, as_symmetric, integral, path_outputs, path_rates
 from bayes_aero.processes import side_by_side
 from bayes_aero.units import number
 
@@ -44,6 +45,18 @@ class ResidualModel(ABC):
         """The same model on flights with these channels."""
         flights = replace(self.flights, channels=dict(channels))  # pyright: ignore[reportArgumentType]
         return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
+
+    @cached_property
+    def noise(self) -> dict[str, Float[np.ndarray, " n"]]:
+        """A draw of the noise of each recorded channel on which the residuals depend; the same for all models."""
+        # Which these are shows where all effects are in.
+        rng, channels = np.random.default_rng(1), self.flights.channels
+        theta = np.array([np.clip(p.start + p.prior.normal[1] / 10.0, *p.bounds) for p in self.model.free])
+        drawn = {n: sd * rng.standard_normal(self.flights.n) for n, sd in self.flights.noise.items() if sd > 0.0}
+        each = [channels, *(channels | {name: channels[name] + x} for name, x in drawn.items())]
+        whole, *parts = side_by_side(lambda x: self.with_channels(x).residuals(theta, self.outputs), each)
+        felt = (not np.array_equal(part, whole) for part in parts)
+        return {name: x for (name, x), is_felt in zip(drawn.items(), felt, strict=True) if is_felt}
 
     @property
     def nameless(self):
@@ -181,6 +194,20 @@ class Blockwise(ResidualModel):
         return np.einsum("mk,cp->mckp", own, path).reshape(len(own), len(outputs), -1)
 
 
+@lru_cache(maxsize=8)
+def smoothed_means(lengths: tuple[int, ...]) -> csr_array:
+    """The matrix that makes of series of manoeuvres, end to end, the means over blocks of the smoothed series."""
+    # It is read off combs, whose teeth are too far apart for two to reach one block.
+    parts, apart = [], FILTER_STEP + 2 * len(SPENCER)
+    for n in lengths:
+        m, combs = n // FILTER_STEP, (np.arange(n) % apart == np.arange(apart)[:, None]).astype(float)
+        means = np.stack([smooth(x)[: m * FILTER_STEP].reshape(m, FILTER_STEP).mean(axis=1) for x in combs])
+        comb, row = np.nonzero(means)
+        tooth = comb + apart * np.rint((FILTER_STEP * row + FILTER_STEP // 2 - comb) / apart).astype(int)
+        parts.append(csr_array((means[comb, row], (row, tooth)), shape=(m, n)))
+    return csr_array(block_diag(parts))
+
+
 # --- Windows of output error, between which the scatter tests effects where there are no accelerometers.
 
 WINDOW = 10.0  # s: long enough to integrate model errors, short enough to stay near the record
@@ -280,26 +307,27 @@ class FlightPathError(Blockwise):
     def _cache(self) -> dict[bytes, Residual]:
         return {}
 
-    @cached_property
-    def _recorded_slopes(self) -> dict[str, Float[np.ndarray, " n"]]:
-        ends = [self.flights.channels[name] for name in ("dt", "first", "last")]
-        return {name: differentiate_joined(self.flights.channels[name], *ends) for name in RATES}
+    def _residual(self, theta: Theta) -> Residual:
+        """Residuals at a parameter vector, read only; stored, because searches repeat the same vectors."""
+        if (residual := self._cache.get(key := theta.tobytes())) is None:
+            residual = self._cache[key] = self._computed(theta)
+            while len(self._cache) > CACHE_SIZE:
+                self._cache.pop(next(iter(list(self._cache)), b""), None)  # another thread may have taken it out
+        return residual
 
     @cached_property
-    def _sines(self) -> dict[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]:
-        return {name: (np.sin(self.flights.channels[name]), np.cos(self.flights.channels[name])) for name in ANGLES}
+    def _recorded(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Slopes of the recorded rates, and sine and cosine of the recorded angles."""
+        x, ends = self.flights.channels, [self.flights.channels[name] for name in ("dt", "first", "last")]
+        sines = {name: (np.sin(x[name]), np.cos(x[name])) for name in ANGLES}
+        return {name: differentiate_joined(x[name], *ends) for name in RATES}, sines
 
     @cached_property
     def _on_record(self) -> tuple[Effect, ...]:
-        return tuple(e for e in self.model.acting if e.stage in RECORD_STAGES)
+        acting = (e for e in self.model.acting if e.stage in RECORD_STAGES)
+        return tuple(e for e in acting if e.stage is Stage.AIRCRAFT or {*PATH_NEEDS} & {*e.example.increments})
 
-    def _residual(self, theta: Theta) -> Residual:
-        """Residuals at a parameter vector, read only; stored, because searches repeat the same vectors."""
-        key = theta.tobytes()
-        residual = self._cache.pop(key, None)
-        if residual is not None:
-            self._cache[key] = residual
-            return residual
+    def _computed(self, theta: Theta) -> Residual:
         f, values = self.flights, self.model.values(theta)
         present = tuple(e for e in self._on_record if not e.absent_in(values))
         model = Model(present, tuple(p for e in present for p in e.parameters), axes=tuple(Axis))
@@ -307,24 +335,18 @@ class FlightPathError(Blockwise):
         ends, scales, sines = [f.channels[name] for name in ("dt", "first", "last")], {}, []
         same = {name: signals[name] is x for name, x in f.channels.items()}
         for name in RATES:
-            slope = self._recorded_slopes[name] if same[name] else differentiate_joined(signals[name], *ends)
-            signals[f"{name}_dot"] = slope
+            x = signals[name]
+            signals[f"{name}_dot"] = self._recorded[0][name] if same[name] else differentiate_joined(x, *ends)
         for name in ANGLES:
-            sines += self._sines[name] if same[name] else (np.sin(signals[name]), np.cos(signals[name]))
+            sines += self._recorded[1][name] if same[name] else (np.sin(signals[name]), np.cos(signals[name]))
         for name in (name for name in self.outputs if not same[name]):  # derivatives by the recorded channels
             step = STEP * float(np.max(np.abs(f.channels[name])))
-            up, down = (
-                _as_numpy(model.corrected(values, {**f.channels, name: f.channels[name] + by}, f.aircraft))[name]
-                for by in (step, -step)
-            )
+            moved = (f.channels | {name: f.channels[name] + by} for by in (step, -step))
+            up, down = (_as_numpy(model.corrected(values, x, f.aircraft))[name] for x in moved)
             scales[name] = (up - down) / (2.0 * step)
         aircraft = model.actual_aircraft(values, f.aircraft)
-        residuals = differences(self.outputs, signals, aircraft, scales, tuple(sines))
-        residual = self.block(np.stack([smooth_joined(x, *ends[1:]) for x in residuals.T], axis=1))
+        residual = smoothed_means(f.lengths) @ differences(self.outputs, signals, aircraft, scales, tuple(sines))
         residual.flags.writeable = False
-        self._cache[key] = residual
-        while len(self._cache) > CACHE_SIZE:
-            self._cache.pop(next(iter(list(self._cache)), b""), None)  # another thread may have taken it out
         return residual
 
 

@@ -30,7 +30,7 @@ from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import LiftRegression, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
-from bayes_aero.physics.kinematics import LATERAL, PATH
+from bayes_aero.physics.kinematics import ANGLES, LATERAL, PATH
 from bayes_aero.processes import compiled_at
 from bayes_aero.residuals import base
 from bayes_aero.units import number
@@ -162,9 +162,7 @@ class _AddedToEquations:
         return self.responses.evaluate(self.theta)[1]
 
     def columns(self, coefficient: str, made: base.Made, outputs: Sequence[str], _deviation: Float[np.ndarray, " c"]):
-        ends = tuple(np.asarray(self.responses.flights.channels[name]) for name in ("first", "last"))
-        raw = np.stack([smooth_joined(x, *ends) for x in made(self.signals)], axis=1)
-        series = np.asarray(self.responses.block(raw)).T
+        series = (base.smoothed_means(self.responses.flights.lengths) @ made(self.signals).T).T
         slopes = np.zeros((*series.shape, len(outputs)))
         slopes[:, :, outputs.index(coefficient)] = series
         return series, slopes, np.sqrt(np.mean(series**2, axis=1))
@@ -184,7 +182,9 @@ def _residuals(padded: _Padded, theta):
     modelled, X = _modelled(model, values, signals, aircraft)
     columns = [(measured - modelled) * factors]
     if responses.path:
-        columns.append(base.differences(responses.path, signals, aircraft, scales))
+        angles = jnp.stack([signals[name] for name in ANGLES], axis=1)  # in a loop, or each use computes them anew
+        sines = jax.lax.map(lambda x: jnp.stack([jnp.sin(x), jnp.cos(x)], axis=1).ravel(), angles)
+        columns.append(base.differences(responses.path, signals, aircraft, scales, tuple(sines.T)))
     residual = _smoothed(f, jnp.concatenate(columns, axis=1))
     both = _smoothed(f, jnp.concatenate([measured, modelled], axis=1))
     c = len(model.coefficients)

@@ -321,12 +321,7 @@ def state_of(unit: Unit, folder: Path) -> CaseState:
 
 
 def run_unit(
-    given: Mapping[str, Any],
-    folder: str,
-    *,
-    task: Task | None = None,
-    progress: Progress = quiet,
-    failed: str = "",
+    given: Mapping[str, Any], folder: str, *, task: Task | None = None, progress: Progress = quiet, failed: str = ""
 ) -> dict[str, Any]:
     """Run a unit (`Unit.as_json`) into `folder`, which appears when it is complete, with results or with error.txt.
     Returns name, state, seconds and error. `failed`: why it could not be run, which is then recorded."""

@@ -13,7 +13,7 @@ from stranger_six import drawn, fly
 
 from bayes_aero.diagnosis import consistency as sensors
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.selection import filtered_channels, recording_noise
+from bayes_aero.diagnosis.selection import filtered_channels
 from bayes_aero.diagnosis.selection_state import DiagnosisSettings
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
@@ -224,7 +224,7 @@ def test_noise_is_read_off_the_record_where_it_was_not_filtered(card, clean_reco
     noise["elevator"] = rng.uniform(2e-4, 1e-3)
     steps = [{n: sd * rng.standard_normal(r.n) for n, sd in noise.items()} for r in clean_records]
     records = [changed(r, **{n: r[n] + x for n, x in s.items()}) for r, s in zip(clean_records, steps, strict=True)]
-    found = recording_noise(join(records, card))
+    found = join(records, card).noise
     for name, sd in noise.items():
         assert found[name] == pytest.approx(sd, rel=0.06), name
     assert found["theta"] < 1e-5  # moves by tenths of a radian, recorded without noise
@@ -455,6 +455,7 @@ def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_a
         flights = join([misread(card, pitot_pressure_bias=pressure)], card)
         path = FlightPathError.of(flights, Model.of(["pitot_pressure_bias"]))
         residual = path.evaluate(np.array([pressure]))[0][:, path.outputs.index("airspeed")]
+        assert {"airspeed", "ax", "q"} <= set(path.noise) <= set(flights.noise) - {"elevator", "thrust"}
         return float(np.std(residual))
 
     assert left(258.0) == pytest.approx(left(0.0), rel=0.2)

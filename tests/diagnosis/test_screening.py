@@ -133,15 +133,16 @@ def test_records_fitted_together_are_fitted_each_by_itself():
     assert np.abs(np.roots(np.append(1.0, -found[2].phi[0]))).max() == pytest.approx(MAX_ROOT, rel=1e-6)
 
 
-def test_middles_are_the_blocks_of_the_whole(problem):
+@pytest.mark.parametrize("count", [1, 30])  # filtered one after another, or by sums over lags
+def test_middles_are_the_blocks_of_the_whole(problem, count):
     _, S, _, folds = problem
     colour = Autocorrelation(np.array([[0.8, 0.1, 0.0], [0.3, 0.0, 0.2], [0.95, 0.0, 0.0]]), np.array([0.1, 1.0, 0.01]))
     variance, places = np.array([0.02, 1.3, 0.001]), [np.array([0]), np.array([1, 3]), np.array([2, 3, 4])]
-    diagonal, blocks = Middle(S, variance, folds, places).under_each([colour], [1, 2])
+    diagonal, blocks = Middle(S, variance, folds, places).under_each([colour] * count, [1, 2])
     whole = colour.meat(S, variance, folds)
-    np.testing.assert_allclose(diagonal[0], np.diag(whole), rtol=1e-10)
+    np.testing.assert_allclose(diagonal[-1], np.diag(whole), rtol=1e-10)
     for block, place in zip(blocks, places[1:], strict=True):
-        np.testing.assert_allclose(block[0], whole[np.ix_(place, place)], rtol=1e-10)
+        np.testing.assert_allclose(block[-1], whole[np.ix_(place, place)], rtol=1e-10)
 
 
 def test_no_noise_and_no_information_leave_numbers(problem, recwarn):
@@ -347,7 +348,7 @@ def test_a_whole_covariance_leaves_nothing_to_sums_of_outputs(projected):
 
 
 @pytest.mark.parametrize("share", [0.02, 1.0])
-def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_permit(monkeypatch, share):
+def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_permit(share):
     """y = a x, x recorded with noise: least squares gives a V/(V + s2), and a true slope is within the bounds.
 
     `share` of what is left is that noise, of whatever colour. Closed form: the lowest bias is -r2/(a var(x)), r2 what
@@ -364,12 +365,12 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
 
     def with_channels(channels):
         x = channels["beta"]
-        return SimpleNamespace(linearise=lambda theta, _: ((y - theta[0] * x)[:, None], x[:, None, None]))
+        residual = lambda theta, *_: (y - theta[0] * x)[:, None]
+        return SimpleNamespace(residuals=residual, linearise=lambda theta, _: (residual(theta), x[:, None, None]))
 
-    responses = SimpleNamespace(
-        flights=SimpleNamespace(channels={"beta": beta}, n=n), with_channels=with_channels, outputs=("CY",)
-    )
-    monkeypatch.setattr(selection, "recording_noise", lambda _: {"beta": sd})
+    responses = with_channels({"beta": beta})
+    flights, noise = SimpleNamespace(channels={"beta": beta}), {"beta": sd * rng.standard_normal(n)}
+    vars(responses).update(flights=flights, noise=noise, with_channels=with_channels, outputs=("CY",))
     effect = CATALOGUE["sideslip_side_force"]
     fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[beta @ beta / r2]]), np.array([r2]), 0.0)
     state = state_of(

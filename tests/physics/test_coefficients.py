@@ -14,6 +14,7 @@ from bayes_aero.physics import filters
 from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.physics.coefficients import coefficients, condition_joined, unsmoothed_joined
 from bayes_aero.physics.filters import kirchhoff_factor, lagged, separation_point
+from bayes_aero.residuals.base import smoothed_means
 from bayes_aero.simulate.injection import hidden_flights
 
 
@@ -102,13 +103,15 @@ def test_advance_is_of_third_order_on_a_sine_and_moves_whole_samples(share):
 
 
 def test_joined_manoeuvres_and_rows_are_filtered_as_each_alone(rng):
-    pieces, steps = [rng.normal(size=n) for n in (20, 60, 20)], (0.04, 0.02, 0.01)
+    pieces, steps = [rng.normal(size=n) for n in (20, 64, 21)], (0.04, 0.02, 0.01)
     lengths = [len(x) for x in pieces]
     first = np.repeat(np.cumsum([0, *lengths[:-1]]), lengths)
     last = first + np.repeat(lengths, lengths) - 1
     x, dt = np.concatenate(pieces), np.repeat(steps, lengths)
     alone = np.concatenate([smooth(piece) for piece in pieces])
     np.testing.assert_allclose(smooth_joined(x, first, last), alone, rtol=1e-13, atol=1e-14)
+    means = [smooth(piece)[: len(piece) // 5 * 5].reshape(-1, 5).mean(axis=1) for piece in pieces]
+    np.testing.assert_allclose(smoothed_means(tuple(lengths)) @ x, np.concatenate(means), rtol=1e-12, atol=1e-14)
     alone = np.concatenate([differentiate(piece, d) for piece, d in zip(pieces, steps, strict=True)])
     joined = differentiate_joined(x, dt, first, last)
     np.testing.assert_allclose(joined, alone, rtol=1e-12, atol=1e-11)

@@ -20,12 +20,7 @@ from bayes_aero.report.page import Gallery, Report, fold, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.pages.estimates import LIMIT, band_text, sign_sentences
 from bayes_aero.report.pages.qualification import points_sentences, points_table
-from bayes_aero.report.pages.trajectories import (
-    gust_sentences,
-    simulation_gain,
-    trajectories,
-    trajectory_sentences,
-)
+from bayes_aero.report.pages.trajectories import gust_sentences, simulation_gain, trajectories, trajectory_sentences
 from bayes_aero.report.phrases import (
     WORDS,
     amounts,

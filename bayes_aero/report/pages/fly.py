@@ -27,14 +27,7 @@ from bayes_aero.report.phrases import (
 )
 from bayes_aero.report.plots import FLOWN, LOW, Panel, measured_panel, output_panels
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
-from bayes_aero.report.table import (
-    Column,
-    Estimate,
-    Table,
-    parameter_columns,
-    table,
-    with_error,
-)
+from bayes_aero.report.table import Column, Estimate, Table, parameter_columns, table, with_error
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -260,11 +253,7 @@ def mode_table(motion: Motion) -> Table:
     linear, about = "the card's linear equations", sentence("level_flight", m=motion)
     of = "with process noise, with errors for white innovations" if motion.filtered else "of output error"
     names, quantities, values = zip(*rows, strict=True)
-    columns = [
-        Column(names, "", "mode"),
-        Column(quantities, "", "quantity"),
-        Column(values, "", "value"),
-    ]
+    columns = [Column(names, "", "mode"), Column(quantities, "", "quantity"), Column(values, "", "value")]
     return table("modes", columns, equations=linear if math.isnan(motion.airspeed) else about, estimates=of)
 
 

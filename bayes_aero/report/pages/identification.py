@@ -19,15 +19,7 @@ from bayes_aero.report.pages.trajectories import given_flights
 from bayes_aero.report.phrases import WORDS, from_to, plain_unit, plus_minus, sentence, several, unparted
 from bayes_aero.report.plots import Panel, compared_panel
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
-from bayes_aero.report.table import (
-    Column,
-    Estimate,
-    Table,
-    columns_of,
-    parameter_columns,
-    table,
-    with_error,
-)
+from bayes_aero.report.table import Column, Estimate, Table, columns_of, parameter_columns, table, with_error
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
