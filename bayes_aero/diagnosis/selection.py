@@ -223,7 +223,8 @@ def explained(state: SelectionState, standing: CandidateScore) -> float:
 
 
 def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
-    """The state with a candidate in, its parameters at their first-order estimate (or the scanned value)."""
+    """The state with a candidate in, its parameters at their first-order estimate (or the scanned value), or nearer
+    to neutral where the model diverges there."""
     theta = state.theta.copy()
     at = state.full.own_columns(winner.effect)
     if winner.value is not None:
@@ -232,7 +233,9 @@ def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
     else:
         bounds = np.array([state.full.model.free[i].bounds for i in at])
         theta[at] = np.clip(theta[at] + np.array(winner.step), bounds[:, 0], bounds[:, 1])
-    return moved(state, theta, (*state.active, winner.effect))
+    trials = [state.theta + share * (theta - state.theta) for share in (1.0, 0.5, 0.2, 0.05, 0.0)]
+    able = (x for x in trials if np.all(np.abs(state.responses.residuals(x, state.outputs)) < selection_state.LARGEST))
+    return moved(state, next(able, state.theta), (*state.active, winner.effect))
 
 
 def removed(state: SelectionState, effect: str) -> SelectionState:
