@@ -42,6 +42,7 @@ from bayes_aero.report.phrases import axis_label, bracket, for_people
 from bayes_aero.report.plots import COLOURS, FARTHEST, Line, extremes, scale
 
 Parts = Mapping[str, np.ndarray]
+MOST_CHARACTERS = 100_000
 
 
 class Exchange(DataModel):
@@ -220,18 +221,8 @@ class ExplorePage:
         return {"nats": gain(errors, inflation), "inflation": inflation}
 
 
-def page_of(simulator: Simulator) -> Callable[[Document], None]:
-    def fill(document: Document) -> None:
-        ExplorePage(simulator, document)
-
-    return fill
-
-
 def _part(name: str) -> str:
     return (resources.files("bayes_aero.explore") / "templates" / name).read_text(encoding="utf-8")
-
-
-MOST_CHARACTERS = 100_000
 
 
 class Asked(msgspec.Struct, frozen=True):
@@ -402,8 +393,7 @@ class LocalOnly(Router):
     resolves to 127.0.0.1 could otherwise read the page through the user's browser."""
 
     def __init__(self, app: BokehTornado, hosts: frozenset[str]) -> None:
-        """`hosts`: names with port."""
-        self.app, self.hosts = app, hosts
+        self.app, self.hosts = app, hosts  # these with the port
 
     def find_handler(self, request: HTTPServerRequest, **kwargs: object) -> HTTPMessageDelegate | None:  # noqa: ARG002
         if request.host.lower() in self.hosts:
@@ -414,7 +404,7 @@ class LocalOnly(Router):
 class PageServer:
     """A running server; `url` is its address."""
 
-    def __init__(self, fill: Callable[[Document], None], port: int = 0) -> None:
+    def __init__(self, fill: Callable[[Document], Any], port: int = 0) -> None:
         """Listen at once on a port of this machine, 0: any free one; `fill` makes the page of one visitor."""
         for name in ("bokeh", "tornado"):
             logging.getLogger(name).setLevel(logging.ERROR)

@@ -217,6 +217,14 @@ _BESIDE = frozenset(
     "gyro vane sensor meas measured recorded raw filt filtered up down imu ahrs ins irs adc fdr eng probe boom".split()  # noqa: SIM905
 )
 """Words that say where a channel comes from or which way it counts, not what it is: "Q gyro", "NZ up"."""
+_SIDES = dict.fromkeys("l left lh lft port 1".split(), "left")  # noqa: SIM905
+_SIDES |= dict.fromkeys("r right rh rgt stbd starboard 2".split(), "right")  # noqa: SIM905
+_NUMBERED = re.compile(r"\b(eng|engine|motor|no|nr)([12])\b")
+_AROUND = frozenset("eng engine motor no nr net total".split())  # noqa: SIM905
+_SYMBOLS = frozenset(
+    "nx ny nz ax ay az tas ktas ias kias cas kcas vtas aoa aos alpha beta theta phi psi mach rho".split()  # noqa: SIM905
+)
+_WANTED = frozenset("cmd command commanded target desired demand demanded ref reference selected sel set".split())  # noqa: SIM905
 
 
 def _parted(heading: str) -> tuple[str, str]:
@@ -232,12 +240,6 @@ def plain_heading(heading: str) -> str:
     kept = [word for word in _PARTS.split(name) if word and word.lower() not in _BESIDE]
     named = kept and any(not spellings(k) or k.lower() in ALIASES for k in kept)
     return "_".join(kept) + unit if named else heading
-
-
-_SIDES = dict.fromkeys("l left lh lft port 1".split(), "left")  # noqa: SIM905
-_SIDES |= dict.fromkeys("r right rh rgt stbd starboard 2".split(), "right")  # noqa: SIM905
-_NUMBERED = re.compile(r"\b(eng|engine|motor|no|nr)([12])\b")
-_AROUND = frozenset("eng engine motor no nr net total".split())  # noqa: SIM905
 
 
 def side_of(heading: str) -> tuple[str, str] | None:
@@ -274,12 +276,6 @@ def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]
 def _spelled(text: str, si: str | None) -> str | None:
     """Only what the table of spellings knows: to pint, "(cal)" would be a calorie."""
     return canonical(text, si) if spellings(text) else None
-
-
-_SYMBOLS = frozenset(
-    "nx ny nz ax ay az tas ktas ias kias cas kcas vtas aoa aos alpha beta theta phi psi mach rho".split()  # noqa: SIM905
-)
-_WANTED = frozenset("cmd command commanded target desired demand demanded ref reference selected sel set".split())  # noqa: SIM905
 
 
 def is_command(heading: str) -> bool:

@@ -249,10 +249,8 @@ def sampled(
     modes: dict[Colour, PosteriorMode] | None = None,
 ) -> tuple[Posterior, tuple[str, ...]]:
     """A posterior and notes on it; `modes` keeps what was sought, for the next engine."""
-    density, modes = (
-        Density.of(run.observations, run.model, Noise(colour), run.mle.bias),
-        {} if modes is None else modes,
-    )
+    density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
+    modes = {} if modes is None else modes
     if colour not in modes:
         modes[colour] = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
     mode = modes[colour]

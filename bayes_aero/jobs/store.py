@@ -174,6 +174,8 @@ def write_environment(out: Path) -> None:
 
 RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(10))}
 """Names that Windows keeps for devices, whatever follows their first full stop."""
+FILES = {"results.json": "identify", "trajectories.json": "fly", "diagnosis.json": "diagnose"}
+MOST_BYTES = 1 << 28
 
 
 def writable(folder: Path) -> None:
@@ -209,10 +211,6 @@ def safe_name(words: str) -> str:
     """`words` as the beginning of a file's name on every system: no leading full stop or dash, no device of Windows."""
     words = words.lstrip(".-")
     return f"_{words}" if words.split(".")[0].split("-")[0].lower() in RESERVED else words
-
-
-FILES = {"results.json": "identify", "trajectories.json": "fly", "diagnosis.json": "diagnose"}
-MOST_BYTES = 1 << 28
 
 
 def result_file(given: str) -> Path | None:

@@ -40,6 +40,9 @@ from bayes_aero.residuals.equation_error import EquationError
 
 Vector = Float[np.ndarray, " k"]
 Drawn = Float[np.ndarray, "m n c"]  # of m draws, n samples and c outputs
+CENTRAL = (0.025, 0.975)
+DRAWS = 40  # for the mean square that parameters or gusts explain
+FAR = 1e30  # of a flight that left the envelope
 
 
 def errors(flown: SegmentTrajectories, theta: Vector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -192,11 +195,6 @@ def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int])
         P[0, 0] += 1.0
         variances.append(P[0, 0])
     return float(np.cumsum(variances)[np.array(lengths) - 1].sum() / sum(lengths))
-
-
-CENTRAL = (0.025, 0.975)
-DRAWS = 40  # for the mean square that parameters or gusts explain
-FAR = 1e30  # of a flight that left the envelope
 
 
 @dataclass(frozen=True)

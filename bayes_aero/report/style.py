@@ -46,14 +46,12 @@ NOTE: dict[str, Any] = {
 }  # fmt: skip
 
 MOST_MANOEUVRES = 12  # of a figure with a panel for each
+Drawing = Callable[["Identification"], Figure]
+Shown = TypeVar("Shown")
 
 
 class NotDrawn(Exception):  # noqa: N818 - not an error: the run simply has nothing to show there
     """The run holds nothing for this figure; the text says what is missing."""
-
-
-Drawing = Callable[["Identification"], Figure]
-Shown = TypeVar("Shown")
 
 
 def housed(draw: Callable[[Shown], Figure]) -> Callable[[Shown], Figure]:

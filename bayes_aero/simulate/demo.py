@@ -113,6 +113,12 @@ MARGIN = 50  # samples flown before and after the record, for what reaches acros
 SAMPLES = round(LONGEST / DT) + 1 + 2 * MARGIN
 IDLE, CRUISE = 5_000.0, 22_000.0  # N
 SURFACES = ("rudder", "spoiler", "dlc", "flap")
+DEFLECTIONS = {
+    "rudder": (3.0, True),  # greatest deflection in deg, and whether to either side
+    "spoiler": (15.0, False),
+    "dlc": (10.0, True),
+    "flap": (14.0, False),
+}
 
 
 def flight_time() -> Series:
@@ -168,14 +174,6 @@ def autoregressive(white: Float[np.ndarray, "n 3"], rho: Iterable[float], sigma:
         return s * np.asarray(lfilter([1.0], [1.0, -r], drive))
 
     return np.stack([series(*row) for row in zip(white.T, rho, sigma, strict=True)], axis=1)
-
-
-DEFLECTIONS = {
-    "rudder": (3.0, True),  # greatest deflection in deg, and whether to either side
-    "spoiler": (15.0, False),
-    "dlc": (10.0, True),
-    "flap": (14.0, False),
-}
 
 
 def _alpha(time: Series, rng: np.random.Generator, duration: float, stall: float) -> Series:

@@ -35,6 +35,12 @@ RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows
 PAIR_DRAWS = 400  # per chain
 MOST_PAIRED = 6  # parameters of a figure that chooses them
 CHAIN_COLOURS = ["#0072B2", "#E69F00", "#009E73", "#CC79A7"]
+GREY = "#555555"  # of what has no colour of its own
+MARKERS = {"crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^"}
+CORRELATIONS = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
+CORRELATIONS |= {name: f"correlation_{name}" for name in LATERAL}
+
+WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
 
 
 def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
@@ -189,10 +195,6 @@ def hysteresis(identification: Identification) -> Figure:
     return figure
 
 
-GREY = "#555555"  # of what has no colour of its own
-MARKERS = {"crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^"}
-
-
 @style.housed
 def forest(identification: Identification) -> Figure:
     """Every parameter by every method, with 95 % intervals and numbers; one panel per parameter, in its own unit."""
@@ -254,12 +256,6 @@ def crb_vs_credible(identification: Identification) -> Figure:
     ax.set_title("How much wider than the Cramér-Rao bound?")
     figure.legend(loc="outside lower center", ncols=2)
     return figure
-
-
-CORRELATIONS = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
-CORRELATIONS |= {name: f"correlation_{name}" for name in LATERAL}
-
-WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
 
 
 def _densities(ax: Axes, prior: np.ndarray, posteriors: Mapping[str, tuple[str, np.ndarray]], *, log: bool) -> float:

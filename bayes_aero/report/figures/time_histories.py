@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
 HISTORY = ("alpha", "theta", "q", "elevator", "ax", "az", "airspeed", "altitude", "mach", "thrust")
 BAND = 1.96  # standard deviations
+MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "buffet": "buffet [CL of separated flow]"}
+KNOWN = 0.3  # largest standard error, of the value, with which a measured response is shown
+DECIBEL = 20.0 / math.log(10.0)  # of a relative change
+MOST_RESPONSES = 8
 
 
 def drawn(columns: Sequence[tuple[str, np.ndarray, Sequence[Panel]]], title: str) -> Figure:
@@ -180,9 +184,6 @@ def _simulated(output: str, flown: TrajectoryFit) -> Figure:
     return drawn(columns, "Measured and simulated: with the first values, and with parameters and initial state fitted")
 
 
-MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "buffet": "buffet [CL of separated flow]"}
-
-
 @style.housed
 def gusts(disturbed: ProcessNoise) -> Figure:
     """Estimated gusts with their bands: a row for each manoeuvre, a column for each gust."""
@@ -202,11 +203,6 @@ def gusts(disturbed: ProcessNoise) -> Figure:
             ax.axhline(0.0, color="#999999", lw=0.6)
     figure.suptitle("Estimated gusts, with 95 % bands", fontsize=10.0)
     return figure
-
-
-KNOWN = 0.3  # largest standard error, of the value, with which a measured response is shown
-DECIBEL = 20.0 / math.log(10.0)  # of a relative change
-MOST_RESPONSES = 8
 
 
 @style.housed

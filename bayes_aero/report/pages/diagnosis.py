@@ -20,12 +20,7 @@ from bayes_aero.report.page import Gallery, Report, fold, section
 from bayes_aero.report.pages import parts
 from bayes_aero.report.pages.estimates import LIMIT, band_text, sign_sentences
 from bayes_aero.report.pages.qualification import points_sentences, points_table
-from bayes_aero.report.pages.trajectories import (
-    gust_sentences,
-    simulation_gain,
-    trajectories,
-    trajectory_sentences,
-)
+from bayes_aero.report.pages.trajectories import gust_sentences, simulation_gain, trajectories, trajectory_sentences
 from bayes_aero.report.phrases import (
     WORDS,
     amounts,
@@ -67,6 +62,12 @@ if TYPE_CHECKING:
 
 SHOWN = 4  # other terms that are named
 SEEN = 0.005  # change of R² that two digits show
+FROM_WHAT = {
+    "coefficients": "",
+    "trajectories": ", from trajectories alone: the record has no coefficients",
+    "innovations": ", from innovations: process noise and gusts are estimated",
+}
+FEW = 4  # manoeuvres that are listed one by one in the open
 
 
 def sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
@@ -541,14 +542,6 @@ def residual_table(view: View) -> Table:
         *(column(lambda n, x=x: n["calibration"][x], page=f"{100.0 * float(x):.0f} %", **inside) for x in levels),
     ]
     return table("residuals", columns)
-
-
-FROM_WHAT = {
-    "coefficients": "",
-    "trajectories": ", from trajectories alone: the record has no coefficients",
-    "innovations": ", from innovations: process noise and gusts are estimated",
-}
-FEW = 4  # manoeuvres that are listed one by one in the open
 
 
 def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:

@@ -27,14 +27,7 @@ from bayes_aero.report.phrases import (
 )
 from bayes_aero.report.plots import FLOWN, LOW, Panel, measured_panel, output_panels
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
-from bayes_aero.report.table import (
-    Column,
-    Estimate,
-    Table,
-    parameter_columns,
-    table,
-    with_error,
-)
+from bayes_aero.report.table import Column, Estimate, Table, parameter_columns, table, with_error
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -49,6 +42,15 @@ MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence
 MOST_ERRORS = 4  # outputs of which the screen gives the errors
 CORRECTED, WHITE = "output error ± corrected", "process noise ± white"  # kinds of standard error
 MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
+MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
+MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
+QUANTITIES = {
+    "period": "period, s",
+    "damping_ratio": "damping ratio",
+    "time_constant": "time constant, s",
+    "time_to_half": "time to half, s",
+    "time_to_double": "time to double, s",
+}
 
 
 def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool = False) -> list[str]:
@@ -166,10 +168,6 @@ def motion_sentences(motion: Motion | None) -> list[str]:
     return sentences + ([sentence("rate_undecided", names=undecided)] if undecided else [])
 
 
-MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
-MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
-
-
 def parameter_table(flown: TrajectoryFit) -> Table:
     """Every parameter, SI and radians; `crb` is infinite where the data alone do not determine it."""
     fit, errors = flown.fit, "standard error"
@@ -241,15 +239,6 @@ def initial_table(flown: TrajectoryFit) -> Table:
     return table("initial_fitted" if free else "initial_fixed", columns, below=[row[0] for row in rows])
 
 
-QUANTITIES = {
-    "period": "period, s",
-    "damping_ratio": "damping ratio",
-    "time_constant": "time constant, s",
-    "time_to_half": "time to half, s",
-    "time_to_double": "time to double, s",
-}
-
-
 def mode_table(motion: Motion) -> Table:
     rows: list[tuple[str, str, Estimate | None]] = []
     for mode in motion.modes:  # people read the times of what does not oscillate, of a spiral the times to half, double
@@ -260,11 +249,7 @@ def mode_table(motion: Motion) -> Table:
     linear, about = "the card's linear equations", sentence("level_flight", m=motion)
     of = "with process noise, with errors for white innovations" if motion.filtered else "of output error"
     names, quantities, values = zip(*rows, strict=True)
-    columns = [
-        Column(names, "", "mode"),
-        Column(quantities, "", "quantity"),
-        Column(values, "", "value"),
-    ]
+    columns = [Column(names, "", "mode"), Column(quantities, "", "quantity"), Column(values, "", "value")]
     return table("modes", columns, equations=linear if math.isnan(motion.airspeed) else about, estimates=of)
 
 

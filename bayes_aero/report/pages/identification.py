@@ -19,15 +19,7 @@ from bayes_aero.report.pages.trajectories import given_flights
 from bayes_aero.report.phrases import WORDS, from_to, plain_unit, plus_minus, sentence, several, unparted
 from bayes_aero.report.plots import Panel, compared_panel
 from bayes_aero.report.screen import Screen, actions, claims, doubts_of
-from bayes_aero.report.table import (
-    Column,
-    Estimate,
-    Table,
-    columns_of,
-    parameter_columns,
-    table,
-    with_error,
-)
+from bayes_aero.report.table import Column, Estimate, Table, columns_of, parameter_columns, table, with_error
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
@@ -41,6 +33,7 @@ if TYPE_CHECKING:
 ONE_BY_ONE = 4  # manoeuvres that are shown; files have more
 ML = "maximum likelihood\n± standard error"
 SAMPLED = "posterior\nmean ± standard deviation, 95 % interval"
+PARTS = ("", "sd", "ci95_low", "ci95_high")
 
 
 def parameter_table(run: Identification) -> Table:
@@ -169,9 +162,6 @@ def sampler_table(run: Identification, key: str) -> Table:
     ]
     about = {"engine": label_of(posterior.engine), "noise": label_of(posterior.noise)}
     return table("sampler", columns, **about, status=posterior.status.value, divergent=divergent)
-
-
-PARTS = ("", "sd", "ci95_low", "ci95_high")
 
 
 def next_flight_table(run: Identification) -> Table:

@@ -26,6 +26,7 @@ RANGES = {
     "altitude_loss": ("m", 1.0, "{:.0f}"),  # of which people read the greatest alone
 }
 """Unit, factor to it and digits of the ranges that a test point needs."""
+MOST = 6  # tests that are named in a sentence
 
 
 def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
@@ -80,9 +81,6 @@ def points_sentences(test_points: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(sentences) if test_points["stated"] else (*sentences, sentence("no_envelope"))
 
 
-MOST = 6  # tests that are named in a sentence
-
-
 def further_table(further: Further) -> Table:
     columns = point_columns([asdict(p) for p in further.points])
     for k, test in ((k, test) for k, test in enumerate(further.tests) if test.decidable):
@@ -117,6 +115,8 @@ def _label(test: OpenTolerance) -> str:
 SHOWN = {"AGAIN": "fitted, flown again", "TEST": "not fitted", "NEXT": "next flight"}
 NEGLIGIBLE = 1e-3  # of an excess, in the units of people
 COUNTED = ("parameters", "structure", "gusts")
+BLANK = "\u00a0" * 30
+FLIGHTS, ORIGIN = "#56B4E9", "Origin of the tolerances"
 
 
 def band(output: str, tolerance: float) -> str:
@@ -222,10 +222,6 @@ def region_sentences(q: Qualification) -> list[str]:
     texts = [sentence("outside_region", o=o, excess=_excess(o)) for o in q.outside]
     texts = texts or [sentence("inside_region", channels=q.channels)]
     return texts + ([sentence("region_unjudged", channels=q.unjudged)] if q.unjudged else [])
-
-
-BLANK = "\u00a0" * 30
-FLIGHTS, ORIGIN = "#56B4E9", "Origin of the tolerances"
 
 
 def qualification_page(q: Qualification, card: Card, source: Mapping[str, Any]) -> Report:
