@@ -18,8 +18,7 @@ import numpy as np
 
 from bayes_aero.errors import InputError
 
-# Only products of named units with one-digit powers reach pint, whose parser would evaluate "9**9**9**9" for
-# ever.
+# Only products of named units with one-digit powers reach pint, which would evaluate "9**9**9**9" for ever.
 _SAFE = re.compile(r"(?:1(?![\w.])|[A-Za-z%°µμΩ][A-Za-z_µμ0-9]*|\*\*-?\d(?!\d)|[*/·() ])*")
 _POWER = re.compile(r"(?<=[A-Za-z%°])(-?\d)(?![\w.])")
 _LONGEST = 60

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.report.screen import Screen
 
-
 FAILED = 1
 BAD_INPUT = 2
 DOUBT = 3  # done and written, but sensors disagree or a channel is faulty

@@ -42,6 +42,8 @@ from bayes_aero.report.phrases import axis_label, bracket, for_people
 from bayes_aero.report.plots import COLOURS, FARTHEST, Line, extremes, scale
 
 Parts = Mapping[str, np.ndarray]
+Curve = Float[np.ndarray, " n"]
+Series = Mapping[str, Curve]
 MOST_CHARACTERS = 100_000
 
 
@@ -94,8 +96,7 @@ class ExplorePage:
         document.template = _part("page.html")  # pyright: ignore[reportAttributeAccessIssue] - Bokeh takes a text, too
         document.template_variables.update(facts)
         given = {"exchange": self.exchange, "time": self.shared.time}
-        start = models.CustomJS(args=given, code="explore.start(exchange, time)")
-        document.js_on_event("document_ready", start)
+        document.js_on_event("document_ready", models.CustomJS(args=given, code="explore.start(exchange, time)"))
 
     def _view(self, name: str, *, recorded: bool = False) -> TimePanel:
         """`recorded`: nothing is compared with it, so that it has no tolerance."""
@@ -245,9 +246,6 @@ def read_asked(text: str) -> Asked:
         raise InputError(f"the page sent what it never sends ({reason}); load it again") from None
 
 
-Series = Mapping[str, Float[np.ndarray, " n"]]
-
-
 def scores(
     recorded: Series, before: Series, now: Series, window: Bool[np.ndarray, " n"], tolerances: Mapping[str, float]
 ) -> Iterator[dict[str, Any]]:
@@ -280,8 +278,6 @@ MOST = 900  # points a line in the window: more than a panel has columns
 MOST_FAN = 200  # and of each draw
 LEAST, AXIS = 84, 42  # pixels: lowest panel, and the time axis below the last
 WORDS = {"measured": "measured", "before": "result", "after": "now", "crb": "draws"}  # what the colours mean
-
-Curve = Float[np.ndarray, " n"]
 
 
 class Shared:

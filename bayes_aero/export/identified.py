@@ -25,7 +25,6 @@ from bayes_aero.physics.aircraft import LATERAL, Aircraft
 
 Operand = str | float  # the name of an input or of a step, or a number
 
-
 OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "pow": np.power,
     "sqrt": np.sqrt, "cbrt": np.cbrt, "exp": np.exp, "expm1": np.expm1, "log": np.log, "log1p": np.log1p,
@@ -275,8 +274,7 @@ class Identified:
 
     @cached_property
     def actual_aircraft(self) -> Aircraft:
-        changed = self.exported.actual_aircraft(self.values, self.aircraft)
-        return _constants(changed, lambda _, x: float(x))
+        return _constants(self.exported.actual_aircraft(self.values, self.aircraft), lambda _, x: float(x))
 
     @property
     def separates(self) -> bool:
@@ -462,18 +460,9 @@ def about(identified: Identified) -> tuple[str, ...]:
     drawn, uncertain = identified.draws, ()
     if drawn is not None:
         uncertain = (f"{len(drawn.values)} draws of {len(drawn.names)} parameters: {drawn.origin}.",)
-    sentences = (
-        f"{identified.title}. Exported by bayes_aero {__version__}.",
-        *identified.sources,
-        *CONVENTIONS,
-        *lengths(identified),
-        *states(identified),
-        *validity(identified),
-        *finite,
-        *uncertain,
-        *identified.left_out,
-    )
-    return tuple(map(plain_line, sentences))
+    title = f"{identified.title}. Exported by bayes_aero {__version__}."
+    general = (title, *identified.sources, *CONVENTIONS, *lengths(identified), *states(identified))
+    return tuple(map(plain_line, (*general, *validity(identified), *finite, *uncertain, *identified.left_out)))
 
 
 def unit(channel: str) -> str:

@@ -28,7 +28,6 @@ MOST_CELLS = 1_000_000
 MOST_WITH_DRAWS = 20_000_000
 INCIDENCE = "incidence"
 
-
 Axes = Mapping[str, Float[np.ndarray, " n"]]
 
 
@@ -161,6 +160,4 @@ def _dataset(identified: Identified, table: Gridded) -> xr.Dataset:
 
 
 def _unit_of(name: str) -> str:
-    if name.startswith(INCIDENCE):
-        return "rad"
-    return "s" if name == "lag" else unit(name) or "1"
+    return "rad" if name.startswith(INCIDENCE) else "s" if name == "lag" else unit(name) or "1"

@@ -209,8 +209,7 @@ def open_text(data: bytes) -> OpenedFile:
 
 # --- Where a text table keeps its header, its units and its samples, and what stands between its cells.
 # Loggers write a preamble above the header, one or two rows of names, a row of units, or none of these. The samples
-# are what repeats: they are looked for first, in the lower part of the file, and the header is what stands above
-# them.
+# are what repeats: they are looked for first, in the lower part of the file; the header is what stands above them.
 
 
 def separator_of(lines: Lines) -> str | None:

@@ -50,11 +50,9 @@ def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
         "name": effect.name,
         "kind": effect.kind.value,
         "stage": effect.stage.name.lower(),
-        "claim": effect.claim,
-        "formula": effect.formula,
+        **picked(effect, "claim", "formula"),
         "parameters": parameters,
-        "needs": list(effect.channels),
-        "rests_on": list(effect.uses),
+        **picked(effect, "needs=channels", "rests_on=uses"),
         "axes": [axis.value for axis in effect.axes],
         "proposed_by_diagnose": effect.candidate and (card is None or effect.acts_on(card.axes)),
         "example": picked(effect.example, "parameters", "signals", "known", "increments", "source")

@@ -109,6 +109,10 @@ class Growing(Generic[Result]):
             if self.out is not None:
                 self.write(self.out)
 
+    def fail(self, failures: Sequence[str]) -> None:
+        if failures:
+            self.keep(failures=failures)
+
     def attempt(self, what: str, do: Callable[[], Any], otherwise: Any = None, *, bad: str = "") -> Any:
         """What `do` returns or, if it fails unexpectedly or by bad input with a form `bad` of a note, `otherwise`."""
         try:
@@ -118,8 +122,7 @@ class Growing(Generic[Result]):
                 raise
             self.keep([bad.format(what, error)])
             return otherwise
-        if failed:
-            self.keep((), failed)
+        self.fail(failed)
         return value
 
 

@@ -54,6 +54,13 @@ class NotDrawn(Exception):  # noqa: N818 - not an error: the run simply has noth
     """The run holds nothing for this figure; the text says what is missing."""
 
 
+def needed(part: Shown | None, missing: str) -> Shown:
+    """The part of a run that a figure shows; without it (none, or empty) there is no figure."""
+    if not part:
+        raise NotDrawn(missing)
+    return part
+
+
 def housed(draw: Callable[[Shown], Figure]) -> Callable[[Shown], Figure]:
     """A figure function whose figure looks the same whatever the user's matplotlibrc says."""
 
@@ -110,8 +117,7 @@ def finish(figure: Figure, axes: np.ndarray, title: str, heads: Iterable[str], *
 def legend_below(figure: Figure, ax: Axes, columns: int = 0, **options: Any) -> None:
     """One legend for all panels, of what `ax` shows; in one row unless the `columns` are given."""
     handles, labels = ax.get_legend_handles_labels()
-    columns = columns or max(1, len(labels))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, **options)
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns or max(1, len(labels)), **options)
 
 
 def column_width(columns: int) -> float:

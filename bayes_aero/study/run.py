@@ -42,6 +42,7 @@ from bayes_aero.jobs.options import (
 from bayes_aero.jobs.store import (
     environment,
     environment_id,
+    picked,
     provenance,
     safe_name,
     sha256_of,
@@ -417,29 +418,14 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> None:
     for unit in units:
         manifest = _json(folder / unit.name / MANIFEST)
         document = _json(folder / unit.name / RESULTS[unit.task])
-        about = {
-            "records": " + ".join(unit.shown),
-            "card": unit.card_name,
-            "effects": " + ".join(unit.effects),
-            "noise": unit.noise,
-            "split": unit.split,
-            "seed": unit.seed,
-        }
+        about = {"records": " + ".join(unit.shown), "card": unit.card_name, "effects": " + ".join(unit.effects)}
+        about |= picked(unit, "noise", "split", "seed")
         state = manifest.get("state", "missing")
         status = document.get("mle", {}) if unit.task == "identify" else document
         verdict = status.get("verdict" if unit.task == "diagnose" else "status", "")
-        rows.append(
-            {
-                "unit": unit.name,
-                "state": state,
-                "task": unit.task,
-                **about,
-                "seconds": manifest.get("seconds"),
-                "verdict": str(verdict),
-                "doubts": "; ".join(doubts_of(unit, folder)),
-                "error": manifest.get("error", ""),
-            }
-        )
+        facts = {"unit": unit.name, "state": state, "task": unit.task, **about, "seconds": manifest.get("seconds")}
+        facts |= {"verdict": str(verdict), "doubts": "; ".join(doubts_of(unit, folder))}
+        rows.append(facts | {"error": manifest.get("error", "")})
         if state == "done":
             results += [{"unit": unit.name, **about, **row} for row in result_rows(unit.task, document)]
     tables = (pd.DataFrame(rows), pd.DataFrame(results, columns=list(RESULT_COLUMNS)))
@@ -527,14 +513,12 @@ def _table(out: Path, name: str) -> Any:
 UNITS, COPY = "units", "study.toml"
 Report = Callable[[int, int, Unit, str], None]
 """Called with the number of finished units, of all units, the running unit, and its stage."""
+UnitRunner = Callable[[Iterable[tuple[Mapping[str, Any], str]]], Iterator[Mapping[str, Any]]]
+"""Takes (description, folder) of units and yields the results of `run_unit` in any order, as a cluster does."""
 
 
 class StoppedError(Exception):
     """Why the rest of a study cannot run now, in one sentence; finished units are kept."""
-
-
-UnitRunner = Callable[[Iterable[tuple[Mapping[str, Any], str]]], Iterator[Mapping[str, Any]]]
-"""Takes (description, folder) of units and yields the results of `run_unit` in any order, as a cluster does."""
 
 
 @dataclass(frozen=True)

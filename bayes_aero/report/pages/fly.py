@@ -45,12 +45,9 @@ MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence i
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
 MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
 QUANTITIES = {
-    "period": "period, s",
-    "damping_ratio": "damping ratio",
-    "time_constant": "time constant, s",
-    "time_to_half": "time to half, s",
-    "time_to_double": "time to double, s",
-}
+    "period": "period, s", "damping_ratio": "damping ratio", "time_constant": "time constant, s",
+    "time_to_half": "time to half, s", "time_to_double": "time to double, s",
+}  # fmt: skip
 
 
 def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool = False) -> list[str]:
@@ -96,8 +93,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
 def fly_screen(result: Flight, card: Card, records: Sequence[FlightRecord]) -> Screen:
     """Errors before and after the fit, every parameter with its corrected standard error, and what is doubtful."""
     flown, fit, beside = result.flown, result.flown.fit, result.process_noise
-    sensors = None if flown.of_path else result.consistency
-    record, mend = parts.record_block(records, result.health, sensors)
+    record, mend = parts.record_block(records, result.health, None if flown.of_path else result.consistency)
     filtered = beside is not None and beside.converged
     units = [plain_unit(p.unit) for p in fit.parameters]
     fitted = list(map(Estimate, map(float, fit.estimate), map(float, fit.sd_corrected)))
@@ -114,12 +110,9 @@ def fly_screen(result: Flight, card: Card, records: Sequence[FlightRecord]) -> S
     errors = {n: amounts(flown.units[n], *pair) for n, pair in flown.rms_errors.items()}
     listed = [f"{symbol(n)} {before} → {after}{unit}" for n, (before, after, unit) in errors.items()]
     more = f" and {len(listed) - MOST_ERRORS} more" if len(listed) > MOST_ERRORS else ""
-    shown: list[str | Table] = [sentence("flown_fit", status=status)]
-    if flown.converged:
-        shown += [sentence("flown_errors", listed=f"{', '.join(listed[:MOST_ERRORS])}{more}")]
-    else:
-        shown += [sentence("not_converged")]
-    shown += [Table(columns)]
+    few = sentence("flown_errors", listed=f"{', '.join(listed[:MOST_ERRORS])}{more}")
+    ended = few if flown.converged else sentence("not_converged")
+    shown = [sentence("flown_fit", status=status), ended, Table(columns)]
     messages = doubts_of(result.sentences)
     then = "next_diagnose" if flown.by_effects else "next_qualify"
     steps = [*mend, *actions(messages)]

@@ -20,11 +20,9 @@ if TYPE_CHECKING:
     from bayes_aero.qualification import Chance, Further, OpenTolerance, Outside, Qualification, Strip
 
 RANGES = {
-    "alpha": ("deg", parts.DEG, "{:.0f}"),
-    "airspeed": ("m/s", 1.0, "{:.0f}"),
-    "load_factor": ("g", 1.0, "{:.2f}"),
+    "alpha": ("deg", parts.DEG, "{:.0f}"), "airspeed": ("m/s", 1.0, "{:.0f}"), "load_factor": ("g", 1.0, "{:.2f}"),
     "altitude_loss": ("m", 1.0, "{:.0f}"),  # of which people read the greatest alone
-}
+}  # fmt: skip
 """Unit, factor to it and digits of the ranges that a test point needs."""
 MOST = 6  # tests that are named in a sentence
 
@@ -183,8 +181,7 @@ def test_table(q: Qualification) -> Table:
         column(lambda t: t.chance.verdict.value, "verdict", "verdict"),
         column(lambda t: "yes" if t.manoeuvre in away else "no", "extrapolation", "extra-\npolation"),
     ]
-    below = [f"{t.manoeuvre}, {SHOWN[t.kind.name]}" for t in rows]
-    return table("tests", columns, index=3, below=below)
+    return table("tests", columns, index=3, below=[f"{t.manoeuvre}, {SHOWN[t.kind.name]}" for t in rows])
 
 
 def _excess(o: Outside) -> str:
