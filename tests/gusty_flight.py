@@ -19,7 +19,6 @@ MASS, INERTIA, AREA, CHORD, DENSITY, V0 = 7472.0, 91388.0, 30.097, 2.43, 0.792, 
 TILT, ARM, G = 0.0524, -0.642, 9.80665
 DT, FINER, SECONDS = 0.05, 10, 60.0
 
-
 Beyond = Callable[[float, float, float, float, float], tuple[float, float, float]]
 """What is added to CL, CD and Cm by airspeed, alpha, q, elevator and thrust, SI."""
 

@@ -20,7 +20,6 @@ from scipy.optimize import fsolve
 G = 9.80665
 Rates = Callable[..., np.ndarray]
 
-
 USUAL = {
     "CL0": 0.3, "CLa": 5.2, "a1": 22.0, "alpha_star": 0.27, "CD0": 0.032, "e": 0.78, "CDX": 0.06, "Cm0": 0.05,
     "Cma": -0.85, "Cmq": -17.0, "Cmde": -1.35, "CmX": -0.06,

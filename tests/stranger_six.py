@@ -20,7 +20,6 @@ BANK, SWAY = 0.25, 5.0  # rad, s
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h", "X_left", "X_right")
 CONTROLS = ("elevator", "aileron", "rudder", "thrust_left", "thrust_right")
 
-
 USUAL = {  # SI and radians; rates made free of units by c/V and b/2V
     "mass": 17600.0, "Ix": 140e3, "Iy": 330e3, "Iz": 430e3, "Ixz": 20e3, "Ixy": 0.0, "Iyz": 0.0,
     "S": 64.0, "c": 3.16, "b": 21.5, "engine_arm": 2.8, "engine_drop": 0.6,
