@@ -160,8 +160,7 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1
         raise InputError(f"this fit has posteriors under {run.noise.value} noise; sample a new fit under {noise}")
     posterior, notes = sampled(run, "white" if beside else engine, colour, ENGINES[engine], seed=seed)
     posteriors = run.posteriors | {"white" if beside else engine: posterior}
-    kept = run.noise if beside else colour
-    run = replace(run, noise=kept, posteriors=posteriors, notes=(*run.notes, *notes))
+    run = replace(run, noise=run.noise if beside else colour, posteriors=posteriors, notes=(*run.notes, *notes))
     return Fit(replace(run, pit=pit_of(run)))
 
 

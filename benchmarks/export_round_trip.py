@@ -181,7 +181,6 @@ def differences(found: Identified, record: FlightRecord, frames: int) -> dict[st
 
 
 def main() -> None:
-    """Print the table."""
     names = OUTPUTS + LATERAL
     print(f"| flight | frame | {' | '.join(names)} |\n|---|---|{'---|' * len(names)}")
     for name, found, record in flights():

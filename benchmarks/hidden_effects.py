@@ -173,7 +173,6 @@ def print_power(rows: Sequence[Row]) -> None:
 
 
 def main() -> None:
-    """Run a study, and report on what is there."""
     parser = studies.parser_of(__doc__, "study", (*KINDS, "report", "effects"), first=1000, count=200)
     parser.add_argument("--single", action="store_true", help="one manoeuvre of 100 s instead of two of 90 s")
     parser.add_argument("--trajectories", action="store_true", help="without accelerometers, by simulated trajectories")

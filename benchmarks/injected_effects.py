@@ -28,19 +28,12 @@ from bayes_aero.model.records import plain_marks, with_sums
 from bayes_aero.physics.coefficients import condition_joined
 from bayes_aero.simulate.injection import misrecorded
 
-INJECTED = {  # parameter and range of the size's absolute value, SI
-    "alpha_bias": ("alpha_bias", 0.01, 0.04),
-    "alpha_scale": ("alpha_scale", 0.04, 0.10),
-    "airspeed_bias": ("airspeed_bias", 1.5, 12.0),
-    "airspeed_scale": ("airspeed_scale", 0.02, 0.15),
-    "pitch_rate_bias": ("pitch_rate_bias", 0.004, 0.012),
-    "pitch_rate_scale": ("pitch_rate_scale", 0.04, 0.10),
-    "accel_x_bias": ("accel_x_bias", 0.1, 0.3),
-    "accel_z_bias": ("accel_z_bias", 0.2, 0.6),
-    "stabilizer_trim": ("Cmih", 1.0, 2.0),
-    "thrust_moment": ("thrust_arm", 0.5, 1.0),
-    "thrust_scale": ("thrust_scale", 0.1, 0.3),
-}
+INJECTED = {  # range of the absolute value of its parameter, SI
+    "alpha_bias": (0.01, 0.04), "alpha_scale": (0.04, 0.10), "airspeed_bias": (1.5, 12.0),
+    "airspeed_scale": (0.02, 0.15), "pitch_rate_bias": (0.004, 0.012), "pitch_rate_scale": (0.04, 0.10),
+    "accel_x_bias": (0.1, 0.3), "accel_z_bias": (0.2, 0.6), "stabilizer_trim": (1.0, 2.0),
+    "thrust_moment": (0.5, 1.0), "thrust_scale": (0.1, 0.3),
+}  # fmt: skip
 
 
 def sizes_of(found) -> dict[str, tuple[float, float]]:
@@ -49,7 +42,6 @@ def sizes_of(found) -> dict[str, tuple[float, float]]:
 
 
 def main() -> None:
-    """Print a row for each injection."""
     parser = plain_parser(__doc__)
     parser.add_argument("--only", nargs="+", choices=sorted(INJECTED), default=list(INJECTED))
     parser.add_argument("--draws", type=int, default=1)
@@ -63,8 +55,8 @@ def main() -> None:
     rows = []
     print(f"{'effect':17s} {'injected':>9s} {'errors':>6s} {'moved':>9s}  named")
     for name in given.draws * given.only:
-        parameter, least, most = INJECTED[name]
-        size = float(rng.choice([-1.0, 1.0]) * rng.uniform(least, most))
+        parameter = CATALOGUE[name].parameters[0].name
+        size = float(rng.choice([-1.0, 1.0]) * rng.uniform(*INJECTED[name]))
         found = diagnosed(injected(records, {name: {parameter: size}}, card, Cmde=Cmde), card, given.seed)[0]
         old, new = before.get(parameter, (0.0, 0.0)), sizes_of(found).get(parameter)
         also = [c.name for c in found.causes if name in c.ambiguous_with]

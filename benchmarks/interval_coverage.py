@@ -234,7 +234,6 @@ def band(stalls: int, seed: int) -> None:
 
 
 def main() -> None:
-    """Run a study, or report on what is there."""
     parser = parser_of(__doc__, "coverage", ("colour", "identify", "report", "flown", "band"), first=91000, count=100)
     parser.add_argument("--noise", type=Colour, choices=list(Colour), default=DEFAULT, help="of the posterior")
     parser.add_argument("--no-posterior", dest="sample", action="store_false", help="corrected bounds alone")

@@ -46,15 +46,11 @@ AERODYNAMIC = {
 }  # fmt: skip
 AIRCRAFT = {"lateral_cg_shift": ("aside", 0.1), "thrust_asymmetry": ("uneven", 0.1)}  # field of a `Plane`, size
 SENSORS = {  # channel, size and kind of the error
-    "sideslip_bias": ("beta", 0.01, "bias"),
-    "sideslip_scale": ("beta", 0.05, "scale"),
-    "roll_rate_scale": ("p", 0.05, "scale"),
-    "yaw_rate_bias": ("r", 0.004, "bias"),
-    "accel_y_bias": ("ay", 0.15, "bias"),
-    "bank_angle_bias": ("phi", 0.02, "bias"),
-    "aileron_delay": ("aileron", 0.08, "delay"),
-    "rudder_delay": ("rudder", 0.08, "delay"),
-}
+    "sideslip_bias": ("beta", 0.01, "bias"), "sideslip_scale": ("beta", 0.05, "scale"),
+    "roll_rate_scale": ("p", 0.05, "scale"), "yaw_rate_bias": ("r", 0.004, "bias"),
+    "accel_y_bias": ("ay", 0.15, "bias"), "bank_angle_bias": ("phi", 0.02, "bias"),
+    "aileron_delay": ("aileron", 0.08, "delay"), "rudder_delay": ("rudder", 0.08, "delay"),
+}  # fmt: skip
 HIDDEN = (*AERODYNAMIC, *AIRCRAFT, *SENSORS)
 UNKNOWN = ("altitude_roll", "aileron_sideslip_yaw", "aileron_play", "rudder_play")
 PLAY = 0.01  # rad by which a surface stays behind either way
@@ -155,13 +151,10 @@ WINGS = ("roll_rate_incidence", "sideslip_incidence", "wing_lift_difference", "w
 MODEL = (*LONGITUDINAL, *LATERAL, *STALL, *WINGS)
 CAUSES = ("wing_asymmetry", "aileron_offset", "lateral_cg_shift", "thrust_asymmetry", "sideslip_bias")
 NAMED = {"aileron_offset": "roll_offset"}  # under which name the catalogue has it
-SIZES = {  # least and largest, of either sign
-    "wing_asymmetry": (0.01, 0.02),
-    "aileron_offset": (0.008, 0.016),
-    "lateral_cg_shift": (0.05, 0.15),
-    "thrust_asymmetry": (0.05, 0.15),
-    "sideslip_bias": (0.008, 0.02),
-}  # rad, m, share
+SIZES = {  # least and largest, of either sign; rad, m, share
+    "wing_asymmetry": (0.01, 0.02), "aileron_offset": (0.008, 0.016), "lateral_cg_shift": (0.05, 0.15),
+    "thrust_asymmetry": (0.05, 0.15), "sideslip_bias": (0.008, 0.02),
+}  # fmt: skip
 
 
 def flown(seed: int) -> tuple[Plane, list[FlightRecord], float]:

@@ -13,14 +13,13 @@ with sensor noise and buffet; the true parameters of one more stall are looked f
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 from calibration import band_of, rank
-from studies import print_inside
+from studies import plain_parser, print_inside
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.mle import fit_mle
@@ -128,8 +127,7 @@ def fly_again(aircraft: int, manoeuvres: int) -> None:
 
 
 def main() -> None:
-    """Run the part that was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = plain_parser(__doc__)
     parser.add_argument("part", choices=("ranks", "flights"))
     parser.add_argument("--replicates", type=int, default=500)
     parser.add_argument("--aircraft", type=int, default=40)

@@ -19,14 +19,11 @@ import scipy.io
 
 from bayes_aero.diagnosis.result import Setting
 from bayes_aero.diagnosis.trajectories import fit_trajectories
-from bayes_aero.dynamics.flight import aircraft_dynamics, linear_dynamics
 from bayes_aero.flight.card import channel_units, read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.model import Model
-from bayes_aero.model.observations import despiked, join
-from bayes_aero.physics.aircraft import FLIGHT
+from bayes_aero.jobs.fly import flown_dynamics
 
 CASES = {
     "TC01": ("attas_lateral", ("fAttasAilRud1.asc",), "oem_gauss_newton"),
@@ -57,12 +54,7 @@ def fit(case: str, book: Path):
     name, files, _ = CASES[case]
     card = read_card(name)
     records = [record_of(book / file, card) for file in files]
-    if card.linear is not None:
-        dynamics = linear_dynamics(card)
-        flights, _ = despiked(join(records, card, dynamics.inputs))
-    else:
-        flights, _ = despiked(join(records, card, FLIGHT))
-        dynamics = aircraft_dynamics(Model.from_card(card), flights, card.fly.outputs or ())
+    flights, dynamics, _ = flown_dynamics(records, card, card.fly.outputs or (), path=False)
     initial = None if case.endswith("free") else card.fly.initial_state
     units = {key: channel.unit for key, channel in STANDARD_CHANNELS.items()} | channel_units(card)
     setting = Setting(card.fly.outputs, initial, priors=False, biases=card.output_biases)
@@ -72,7 +64,6 @@ def fit(case: str, book: Path):
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("book", type=Path)
     parser.add_argument("cases", nargs="*", default=list(CASES), metavar="CASE")

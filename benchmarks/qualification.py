@@ -14,17 +14,18 @@ manoeuvres that were left out. `next flight`: the same, by the scatter of the ma
 
 from __future__ import annotations
 
-import argparse
-import tomllib
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import studies
+from linear_cards import SHORT_PERIOD, card_of
 
 from bayes_aero.diagnosis.trajectories import FlightNoise, posterior_draws
 from bayes_aero.dynamics.flight import linear_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
-from bayes_aero.flight.card import Card, parse_card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.model.observations import join
@@ -39,28 +40,8 @@ from bayes_aero.qualification.qualify import (
     qualify,
 )
 
-CARD = """
-[channels]
-time = { label = "t", unit = "s" }
-alpha = { label = "alpha", unit = "rad" }
-q = { label = "q", unit = "rad/s" }
-elevator = { label = "de", unit = "rad" }
-az = { label = "az", unit = "m/s^2" }
-[linear]
-states = ["alpha", "q"]
-[linear.rates.alpha]
-Zalpha = "alpha"
-Zq = "q"
-Zde = "elevator"
-[linear.rates.q]
-Malpha = "alpha"
-Mq = "q"
-Mde = "elevator"
-[linear.outputs.az]
-Zalpha = { alpha = 90.0 }
-Zde = { elevator = 90.0 }
-[linear.fixed]
-Zq = 1.0
+CARD = re.sub(r'(?m)^\w+ = "1"\n', "", SHORT_PERIOD)  # without its constants
+CARD += """
 [parameters]
 Zalpha = { prior = { family = "normal", location = -1.0, scale = 0.5 } }
 Zde = { prior = { family = "normal", location = 0.0, scale = 0.1 } }
@@ -119,7 +100,7 @@ def whole(records: Sequence[FlightRecord], card: Card) -> SegmentTrajectories:
 def aircraft(seed: int, manoeuvres: int) -> list[tuple[str, float, float]]:
     """Case, stated probability, and share of true flights that pass, of every test of one aircraft."""
     rng = np.random.default_rng([20, seed])
-    card = parse_card(tomllib.loads(CARD), "linear", "linear.toml")
+    card = card_of(CARD)
     inputs, derivatives = [command(rng) for _ in range(manoeuvres)], [scattered(rng) for _ in range(manoeuvres)]
     records = [flight(k, u, rng, f"m{i}") for i, (k, u) in enumerate(zip(derivatives, inputs, strict=True))]
     flown = whole(records, card)
@@ -148,8 +129,7 @@ def aircraft(seed: int, manoeuvres: int) -> list[tuple[str, float, float]]:
 
 
 def main() -> None:
-    """Print a table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser = studies.plain_parser(__doc__)
     parser.add_argument("--aircraft", type=int, default=100)
     parser.add_argument("--manoeuvres", type=int, default=3)
     parser.add_argument("--first", type=int, default=0, help="seed of the first aircraft")

@@ -94,7 +94,6 @@ KINDS = {"samples": (samples, SAMPLES), "manoeuvres": (manoeuvres, MANOEUVRES)}
 
 
 def main() -> None:
-    """Run the rows asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kinds", nargs="*", default=["samples", "manoeuvres"])
     parser.add_argument("--one", nargs=2)

@@ -230,13 +230,8 @@ def likelihood(flights: Flights, problem: Problem, seed: int, others: int = 6) -
         flights.model, flights.seen.subset(samples), start=flights.start(seed), extra_starts=others, seed=seed
     )
     mean = flights.modelled(found.estimate)
-    return _by_training_error(mean, problem), found.estimate
-
-
-def _by_training_error(mean: np.ndarray, problem: Problem) -> Guess:
-    """Normal, with the variance that the fit itself estimates."""
-    sd = np.sqrt(np.mean((problem.measured - mean)[problem.train] ** 2, axis=0))
-    return Guess(mean, np.tile(sd, (len(mean), 1)))
+    sd = np.sqrt(np.mean((problem.measured - mean)[problem.train] ** 2, axis=0))  # that the fit itself estimates
+    return Guess(mean, np.tile(sd, (len(mean), 1))), found.estimate
 
 
 def extended(flights: Flights, problem: Problem, seed: int, kept: Sequence[str]) -> Guess:
@@ -337,8 +332,9 @@ def table(rows: Sequence[dict]) -> None:
         "| split | method | r | RMSE, 1e-3 | worst over best RMSE | log score | in 95 % | s | choosing | of GPR, MAP |"
     )
     print("|" + "---|" * 10)
+    names = dict.fromkeys(r["method"] for r in rows)
     for kind in KINDS:
-        of = {name: [r for r in rows if (r["split"], r["method"]) == (kind, name)] for name in methods_named(rows)}
+        of = {name: [r for r in rows if (r["split"], r["method"]) == (kind, name)] for name in names}
         base = np.median([r["seconds"] for r in of["GPR, MAP"]])
         for name, own in of.items():
             if not own:
@@ -356,10 +352,6 @@ def table(rows: Sequence[dict]) -> None:
 
 def _three(values: Float[np.ndarray, " c"], digits: str) -> str:
     return " / ".join(format(x, digits) for x in values)
-
-
-def methods_named(rows: Sequence[dict]) -> list[str]:
-    return list(dict.fromkeys(r["method"] for r in rows))
 
 
 ASKED = {"CL": 0.0015, "CD": 0.005, "Cm": 0.40}  # margins in r that the paper states

@@ -124,14 +124,6 @@ def _estimates(status: str, names: Iterable[str], estimate: Any, sd: Any) -> Row
     return {"status": status, "found": {name: [x, s] for name, x, s in rows}}
 
 
-def run(kind: str, count: int, out: Path, first: int, *, flights: bool) -> None:
-    """Until there are `count` of this kind, from the seed `first`, a line each in OUT/KIND.jsonl."""
-    path = out / f"{kind}.jsonl"
-    done = len(rows_of(path))
-    cases = {seed: partial(case, kind, seed, flights=flights) for seed in range(first + done, first + count)}
-    studies.resumed(path, cases, one_length=True)
-
-
 def report(out: Path) -> None:
     """Shares of the truths inside 95 % intervals, with standard errors over aircraft."""
     for path in sorted(out.glob("*.jsonl")):
@@ -158,6 +150,8 @@ if __name__ == "__main__":
     parser.add_argument("--no-flights", action="store_true", help="coefficients alone")
     given = parser.parse_args()
     if given.what == "run":
-        first = FIRST[given.kind] if given.first is None else given.first
-        run(given.kind, given.count, given.out, first, flights=not given.no_flights)
+        path, first = given.out / f"{given.kind}.jsonl", FIRST[given.kind] if given.first is None else given.first
+        seeds = range(first + len(rows_of(path)), first + given.count)
+        cases = {seed: partial(case, given.kind, seed, flights=not given.no_flights) for seed in seeds}
+        studies.resumed(path, cases, one_length=True)
     report(given.out)

@@ -24,7 +24,6 @@ from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.processes import full_of_programs, give_back_memory
-from bayes_aero.simulate.demo import demo_records
 
 Row = dict[str, Any]
 Size = tuple[float, float, float]  # mean, deviation, truth
@@ -70,13 +69,13 @@ def resumed(
     return rows
 
 
-def records_of(parser: argparse.ArgumentParser, least: int = 1) -> tuple[argparse.Namespace, Card, list[FlightRecord]]:
-    """The command line of a study of records, their card, and the records: at `least` 0 the simulated ones, if none."""
-    parser.add_argument("records", nargs="+" if least else "*", type=Path)
+def records_of(parser: argparse.ArgumentParser) -> tuple[argparse.Namespace, Card, list[FlightRecord]]:
+    """The command line of a study of records, their card, and the records."""
+    parser.add_argument("records", nargs="+", type=Path)
     parser.add_argument("--model", default="attas", help="card of the records")
     given = parser.parse_args()
     card = read_card(given.model)
-    return given, card, read_records(given.records, card.channels) if given.records else demo_records()
+    return given, card, read_records(given.records, card.channels)
 
 
 def parser_of(

@@ -2,6 +2,7 @@
 
 import gc
 import itertools
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from bayes_aero.simulate.injection import hidden_records
 
 gc.set_threshold(*SELDOM)  # as the program does
 ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas"
+BOOK = ATTAS.parent / "book"
 TESTS = Path(__file__).parent
 sys.path.append(str(TESTS.parent / "benchmarks"))  # after all that is installed: one of them is called `coverage`
 NUMBER = itertools.count()  # of tests
@@ -83,6 +85,15 @@ def attas_paths():
     if not all(path.is_file() for path in paths):
         pytest.skip(f"the ATTAS records are not in {ATTAS}; see the README for how to get them")
     return paths
+
+
+@pytest.fixture(scope="session")
+def book():
+    """The results of the book's programs, by case."""
+    path = BOOK / "references.json"
+    if not path.is_file():
+        pytest.skip(f"the data of the book and the published results are not in {BOOK}")
+    return json.loads(path.read_text(encoding="utf-8"))["cases"]
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -244,11 +245,11 @@ def open(
     terminal.check_result(result)
     with terminal.loading():
         from bayes_aero.explore.opened import Simulator, open_result
-        from bayes_aero.explore.page import PageServer, page_of
+        from bayes_aero.explore.page import ExplorePage, PageServer
 
     with terminal.bar("reading") as tell:
         simulator = Simulator(open_result(result, model, records or ()))
-        server = PageServer(page_of(simulator), port)
+        server = PageServer(partial(ExplorePage, simulator), port)
         tell("compiling", 0.5)
         simulator.result(0)
     for sentence in simulator.opened.doubts:

@@ -6,7 +6,7 @@ import inspect
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields
 from functools import wraps
 from pathlib import Path
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from bayes_aero.flight.health import Consistency, HealthFinding
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.report.screen import Screen
-
 
 FAILED = 1
 BAD_INPUT = 2
@@ -119,11 +118,9 @@ def bar(first: str, over: float = 30.0, spent: dict[str, float] | None = None) -
         tell("", 1.0)
 
 
-@contextmanager
-def loading() -> Iterator[None]:
+def loading() -> AbstractContextManager[Progress]:
     """While the numerical libraries are imported, which takes seconds."""
-    with bar("loading libraries"):
-        yield
+    return bar("loading libraries")
 
 
 def card_and_records(records: Sequence[Path], reading: ReadingOptions) -> tuple[Card, list[FlightRecord]]:

@@ -20,7 +20,6 @@ RISING = ((0.10, 0.12, 0.15, 0.19), (0.02, 0.03, 0.04, 0.0))
 MOVED = ((0.03, 0.0, -0.01, -0.06), (-0.03, -0.01, -0.05, 0.0))
 """Worked examples of a delay: the channel, and each next sample less this one; nothing is known beyond the last."""
 
-
 sensor_error = partial(effect, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL)
 
 # fmt: off

@@ -34,6 +34,13 @@ from bayes_aero.report.pages.parts import consistency_sentences
 from bayes_aero.report.phrases import for_people, plain_unit
 from bayes_aero.residuals.equation_error import EquationError
 
+ERRORS = 5.0  # standard errors to either side
+SHARE = 0.3  # of the value, at least: a parameter known to 0.1 % still moves something to see
+LIMITS = (
+    "The card states a linear system: it has no effects to switch or to add, no coefficients, and no form in another "
+    "simulator."
+)
+
 
 @dataclass(frozen=True)
 class OpenedResult(FinishedResult):
@@ -197,12 +204,6 @@ def export_chosen(
     return target, write_export(identified, form, target)["files"]
 
 
-LIMITS = (
-    "The card states a linear system: it has no effects to switch or to add, no coefficients, and no form in another "
-    "simulator."
-)
-
-
 def linear_groups(linear: IdentifiedLinear, errors: Mapping[str, float]) -> tuple[SliderGroup, ...]:
     """The parameters of each row, every parameter once, with the row that the card writes first; `errors` in SI."""
     rows, free = linear.rows, {p.name: p for p in linear.fitted.free}
@@ -217,10 +218,6 @@ def linear_groups(linear: IdentifiedLinear, errors: Mapping[str, float]) -> tupl
         if sliders:
             groups.append(SliderGroup(title, f"{title} of the linear system", False, sliders, switch=False))
     return tuple(groups)
-
-
-ERRORS = 5.0  # standard errors to either side
-SHARE = 0.3  # of the value, at least: a parameter known to 0.1 % still moves something to see
 
 
 @dataclass(frozen=True)
@@ -425,8 +422,7 @@ def _one(flown: SegmentTrajectories, residuals: EquationError | None, theta: Any
     paths = (simulation.measured - simulation.residual)[0], simulation.trajectory.inside[0]
     if residuals is None:
         return (*paths, None, None, None)
-    parameters = theta[: len(residuals.model.free)]  # biases of outputs are behind
-    _, details = residuals.traced(parameters)
+    _, details = residuals.traced(theta[: len(residuals.model.free)])  # biases of outputs are behind
     return (*paths, details["measured"], details["modelled"], details["X"])
 
 

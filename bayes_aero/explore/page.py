@@ -42,6 +42,9 @@ from bayes_aero.report.phrases import axis_label, bracket, for_people
 from bayes_aero.report.plots import COLOURS, FARTHEST, Line, extremes, scale
 
 Parts = Mapping[str, np.ndarray]
+Curve = Float[np.ndarray, " n"]
+Series = Mapping[str, Curve]
+MOST_CHARACTERS = 100_000
 
 
 class Exchange(DataModel):
@@ -93,8 +96,7 @@ class ExplorePage:
         document.template = _part("page.html")  # pyright: ignore[reportAttributeAccessIssue] - Bokeh takes a text, too
         document.template_variables.update(facts)
         given = {"exchange": self.exchange, "time": self.shared.time}
-        start = models.CustomJS(args=given, code="explore.start(exchange, time)")
-        document.js_on_event("document_ready", start)
+        document.js_on_event("document_ready", models.CustomJS(args=given, code="explore.start(exchange, time)"))
 
     def _view(self, name: str, *, recorded: bool = False) -> TimePanel:
         """`recorded`: nothing is compared with it, so that it has no tolerance."""
@@ -220,18 +222,8 @@ class ExplorePage:
         return {"nats": gain(errors, inflation), "inflation": inflation}
 
 
-def page_of(simulator: Simulator) -> Callable[[Document], None]:
-    def fill(document: Document) -> None:
-        ExplorePage(simulator, document)
-
-    return fill
-
-
 def _part(name: str) -> str:
     return (resources.files("bayes_aero.explore") / "templates" / name).read_text(encoding="utf-8")
-
-
-MOST_CHARACTERS = 100_000
 
 
 class Asked(msgspec.Struct, frozen=True):
@@ -252,9 +244,6 @@ def read_asked(text: str) -> Asked:
         return msgspec.json.decode(text if len(text) <= MOST_CHARACTERS else "", type=Asked)
     except (ValueError, RecursionError) as reason:
         raise InputError(f"the page sent what it never sends ({reason}); load it again") from None
-
-
-Series = Mapping[str, Float[np.ndarray, " n"]]
 
 
 def scores(
@@ -289,8 +278,6 @@ MOST = 900  # points a line in the window: more than a panel has columns
 MOST_FAN = 200  # and of each draw
 LEAST, AXIS = 84, 42  # pixels: lowest panel, and the time axis below the last
 WORDS = {"measured": "measured", "before": "result", "after": "now", "crb": "draws"}  # what the colours mean
-
-Curve = Float[np.ndarray, " n"]
 
 
 class Shared:
@@ -402,8 +389,7 @@ class LocalOnly(Router):
     resolves to 127.0.0.1 could otherwise read the page through the user's browser."""
 
     def __init__(self, app: BokehTornado, hosts: frozenset[str]) -> None:
-        """`hosts`: names with port."""
-        self.app, self.hosts = app, hosts
+        self.app, self.hosts = app, hosts  # these with the port
 
     def find_handler(self, request: HTTPServerRequest, **kwargs: object) -> HTTPMessageDelegate | None:  # noqa: ARG002
         if request.host.lower() in self.hosts:
@@ -414,7 +400,7 @@ class LocalOnly(Router):
 class PageServer:
     """A running server; `url` is its address."""
 
-    def __init__(self, fill: Callable[[Document], None], port: int = 0) -> None:
+    def __init__(self, fill: Callable[[Document], Any], port: int = 0) -> None:
         """Listen at once on a port of this machine, 0: any free one; `fill` makes the page of one visitor."""
         for name in ("bokeh", "tornado"):
             logging.getLogger(name).setLevel(logging.ERROR)

@@ -274,8 +274,7 @@ class Identified:
 
     @cached_property
     def actual_aircraft(self) -> Aircraft:
-        changed = self.exported.actual_aircraft(self.values, self.aircraft)
-        return _constants(changed, lambda _, x: float(x))
+        return _constants(self.exported.actual_aircraft(self.values, self.aircraft), lambda _, x: float(x))
 
     @property
     def separates(self) -> bool:
@@ -461,18 +460,9 @@ def about(identified: Identified) -> tuple[str, ...]:
     drawn, uncertain = identified.draws, ()
     if drawn is not None:
         uncertain = (f"{len(drawn.values)} draws of {len(drawn.names)} parameters: {drawn.origin}.",)
-    sentences = (
-        f"{identified.title}. Exported by bayes_aero {__version__}.",
-        *identified.sources,
-        *CONVENTIONS,
-        *lengths(identified),
-        *states(identified),
-        *validity(identified),
-        *finite,
-        *uncertain,
-        *identified.left_out,
-    )
-    return tuple(map(plain_line, sentences))
+    title = f"{identified.title}. Exported by bayes_aero {__version__}."
+    general = (title, *identified.sources, *CONVENTIONS, *lengths(identified), *states(identified))
+    return tuple(map(plain_line, (*general, *validity(identified), *finite, *uncertain, *identified.left_out)))
 
 
 def unit(channel: str) -> str:

@@ -33,48 +33,46 @@ SAME = {
 }  # fmt: skip
 LARGEST_EXPONENT = 700.0  # e to this is still a number
 
-Node = Element
 
-
-def element(tag: str, *content: Node | str, **attributes: str) -> Node:
+def element(tag: str, *content: Element | str, **attributes: str) -> Element:
     node = Element(tag, attributes)
     node.extend(x for x in content if not isinstance(x, str))
     node.text = "".join(x for x in content if isinstance(x, str)) or None
     return node
 
 
-def value(x: float) -> Node:
+def value(x: float) -> Element:
     return element("value", repr(float(x)))
 
 
-def read(name: str) -> Node:
+def read(name: str) -> Element:
     return element("property", name)
 
 
-def call(tag: str, *arguments: Node | float | str) -> Node:
+def call(tag: str, *arguments: Element | float | str) -> Element:
     """An operation of JSBSim; numbers, and properties by name."""
     given = (read(x) if isinstance(x, str) else value(x) if isinstance(x, float | int) else x for x in arguments)
     return element(tag, *given)
 
 
-def function(name: str, content: Node) -> Node:
+def function(name: str, content: Element) -> Element:
     return element("function", content, name=name)
 
 
-def component(name: str, content: Node) -> Node:
+def component(name: str, content: Element) -> Element:
     """A function of a system, which it evaluates in every frame."""
     return element("fcs_function", element("function", content), name=name)
 
 
-def _reciprocal_of_one_and(x: Node) -> Node:
+def _reciprocal_of_one_and(x: Element) -> Element:
     return call("quotient", 1.0, call("sum", 1.0, x))
 
 
-def _exp(x: Node, factor: float) -> Node:
+def _exp(x: Element, factor: float) -> Element:
     return call("exp", call("min", LARGEST_EXPONENT, call("product", factor, x)))
 
 
-COMPOSED: dict[str, Callable[[Node], Node]] = {  # operations that JSBSim does not have, by those that it has
+COMPOSED: dict[str, Callable[[Element], Element]] = {  # operations that JSBSim does not have, by those that it has
     "neg": lambda x: call("product", -1.0, x),
     "logistic": lambda x: _reciprocal_of_one_and(_exp(x, -1.0)),
     "tanh": lambda x: call("difference", call("product", 2.0, _reciprocal_of_one_and(_exp(x, -2.0))), 1.0),
@@ -88,19 +86,18 @@ COMPOSED: dict[str, Callable[[Node], Node]] = {  # operations that JSBSim does n
 
 
 def functions(
-    program: Program, inputs: Mapping[str, Node], outputs: Mapping[str, str], steps: str = "step"
-) -> list[Node]:
+    program: Program, inputs: Mapping[str, Element], outputs: Mapping[str, str], steps: str = "step"
+) -> list[Element]:
     """The program as functions in their order: steps that are read more than once, then the outputs. `inputs`: how each
     input is read; `outputs`: their properties by name; `steps`: branch of the properties of steps."""
     nodes, uses, elements = dict(inputs), program.uses, []
 
-    def node(x: Operand) -> Node:
+    def node(x: Operand) -> Element:
         return deepcopy(nodes[x]) if isinstance(x, str) else value(x)
 
     for step in program.steps:
-        arguments = [node(x) for x in step.arguments]
         composed = COMPOSED.get(step.operation) or partial(call, SAME[step.operation])
-        content = composed(*arguments)
+        content = composed(*(node(x) for x in step.arguments))
         if uses[step.name] > 1:
             name = f"{PREFIX}/{steps}/{step.name}"
             elements.append(function(name, content))
@@ -115,21 +112,13 @@ FOOT = 0.3048  # m
 POUND = 4.4482216152605  # N
 SLUG = POUND / FOOT  # kg
 PROPERTIES: dict[str, tuple[str, float]] = {
-    "alpha": ("aero/alpha-rad", 1.0),
-    "beta": ("aero/beta-rad", 1.0),
-    "airspeed": ("velocities/vt-fps", FOOT),
-    "p": ("velocities/p-aero-rad_sec", 1.0),
-    "q": ("velocities/q-aero-rad_sec", 1.0),
-    "r": ("velocities/r-aero-rad_sec", 1.0),
-    "mach": ("velocities/mach", 1.0),
-    "altitude": ("position/h-sl-ft", FOOT),
-    "density": ("atmosphere/rho-slugs_ft3", SLUG / FOOT**3),
-    "alpha_dot": (f"{PREFIX}/state/alpha-dot-rad_sec", 1.0),
-    "elevator": ("fcs/elevator-pos-rad", 1.0),
-    "aileron": ("fcs/right-aileron-pos-rad", 1.0),
-    "rudder": ("fcs/rudder-pos-rad", 1.0),
-    "flap": ("fcs/flap-pos-deg", math.pi / 180.0),
-}
+    "alpha": ("aero/alpha-rad", 1.0), "beta": ("aero/beta-rad", 1.0), "airspeed": ("velocities/vt-fps", FOOT),
+    "p": ("velocities/p-aero-rad_sec", 1.0), "q": ("velocities/q-aero-rad_sec", 1.0),
+    "r": ("velocities/r-aero-rad_sec", 1.0), "mach": ("velocities/mach", 1.0), "altitude": ("position/h-sl-ft", FOOT),
+    "density": ("atmosphere/rho-slugs_ft3", SLUG / FOOT**3), "alpha_dot": (f"{PREFIX}/state/alpha-dot-rad_sec", 1.0),
+    "elevator": ("fcs/elevator-pos-rad", 1.0), "aileron": ("fcs/right-aileron-pos-rad", 1.0),
+    "rudder": ("fcs/rudder-pos-rad", 1.0), "flap": ("fcs/flap-pos-deg", math.pi / 180.0),
+}  # fmt: skip
 """Where JSBSim has a channel, and the factor to SI. Every other channel is a property `bayes-aero/input/NAME`."""
 LEAST_SLOPE = 0.1  # of the equation of alpha-dot, by which its steps are divided; at zero the motion is not unique
 SLOPE = f"{PREFIX}/state/lift-per-alpha-dot"
@@ -211,7 +200,7 @@ def aircraft_xml(identified: Identified) -> str:
     return _text(element("fdm_config", *parts, name=identified.name, version="2.0", release="ALPHA"))
 
 
-def _inputs(identified: Identified, program: Program) -> dict[str, Node]:
+def _inputs(identified: Identified, program: Program) -> dict[str, Element]:
     inputs = {f"parameter.{n}": read(f"{PREFIX}/parameter/{n}") for n in program.inputs_of("parameter")}
     inputs |= {f"aircraft.{n}": value(identified.inputs[f"aircraft.{n}"]) for n in program.inputs_of("aircraft")}
     inputs |= {f"state.{n}": read(f"{PREFIX}/state/{n}") for n in program.inputs_of("state")}
@@ -232,7 +221,7 @@ def _output(name: str) -> str:
     return f"{PREFIX}/{'coefficient' if name in (*NAMES, *LATERAL) else 'separation'}/{name}"
 
 
-def _forces(identified: Identified) -> dict[str, Node]:
+def _forces(identified: Identified) -> dict[str, Element]:
     """Forces (lbf) and moments (lbf ft, about the reference point) by axis of the body."""
     a, has = identified.actual_aircraft, set(identified.exported.coefficients)
     area = a.wing_area / FOOT**2
@@ -241,17 +230,14 @@ def _forces(identified: Identified) -> dict[str, Node]:
     forward = call("difference", call("product", lift, sin), call("product", drag, cos))
     up = call("sum", call("product", lift, cos), call("product", drag, sin))
     axes = {
-        "X": ("CL", forward, area),
-        "Y": ("CY", CY, area),
-        "Z": ("CL", call("product", -1.0, up), area),
-        "ROLL": ("CY", Cl, area * a.moment_length / FOOT),
-        "PITCH": ("CL", Cm, area * a.chord / FOOT),
+        "X": ("CL", forward, area), "Y": ("CY", CY, area), "Z": ("CL", call("product", -1.0, up), area),
+        "ROLL": ("CY", Cl, area * a.moment_length / FOOT), "PITCH": ("CL", Cm, area * a.chord / FOOT),
         "YAW": ("CY", Cn, area * a.moment_length / FOOT),
-    }
+    }  # fmt: skip
     return {n: call("product", "aero/qbar-psf", size, x) for n, (of, x, size) in axes.items() if of in has}
 
 
-def _alpha_dot(identified: Identified) -> list[Node]:
+def _alpha_dot(identified: Identified) -> list[Element]:
     """Alpha-dot by a Newton step a frame, carried on to the present frame by its last change."""
     used = PROPERTIES["alpha_dot"][0]
     now, before, solved = (f"{used}-{part}" for part in ("now", "before", "solved"))
@@ -280,26 +266,26 @@ def _separated(point: str) -> str:
     return f"{PREFIX}/state/{point}-separated"
 
 
-def _rest(x: Node) -> Node:
+def _rest(x: Element) -> Element:
     return call("difference", 1.0, x)
 
 
-def _first(begin: Node, later: Node) -> Node:
+def _first(begin: Element, later: Element) -> Element:
     limit = call("product", FIRST_FRAMES, "simulation/dt")
     return call("ifthen", call("le", "simulation/sim-time-sec", limit), begin, later)
 
 
-def _coordinates(place: Sequence[float]) -> list[Node]:
+def _coordinates(place: Sequence[float]) -> list[Element]:
     return [element(name, repr(float(x))) for name, x in zip("xyz", place, strict=True)]
 
 
-def _location(place: Sequence[float], **names: str) -> Node:
+def _location(place: Sequence[float], **names: str) -> Element:
     """A position of the body from the centre of gravity, in structural axes."""
     x, y, z = place
     return element("location", *_coordinates((0.0 - x, y + 0.0, 0.0 - z)), unit="M", **names)
 
 
-def _text(root: Node) -> str:
+def _text(root: Element) -> str:
     indent(root)
     return '<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n"
 

@@ -160,6 +160,4 @@ def _dataset(identified: Identified, table: Gridded) -> xr.Dataset:
 
 
 def _unit_of(name: str) -> str:
-    if name.startswith(INCIDENCE):
-        return "rad"
-    return "s" if name == "lag" else unit(name) or "1"
+    return "rad" if name.startswith(INCIDENCE) else "s" if name == "lag" else unit(name) or "1"

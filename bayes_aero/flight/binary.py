@@ -151,6 +151,22 @@ def open_log(suffix: str, data: bytes) -> OpenedFile:
 
 # --- Files of named arrays: HDF5, NetCDF, MATLAB, Parquet.
 
+HDF5 = b"\x89HDF\r\n\x1a\n"  # what such a file begins with; MATLAB's has 512 bytes of its own before it
+OBJECT = (
+    "it holds a MATLAB object (a table, timetable or class), which only MATLAB can read; in MATLAB, save a struct of "
+    "vectors (table2struct(T, 'ToScalar', true)), or write .csv with writetable"
+)
+
+PACKING = (
+    "_Unsigned", "scale_factor", "add_offset", "_FillValue", "missing_value", "valid_min", "valid_max", "valid_range",
+    "flag_values", "flag_masks", "flag_meanings",
+)  # fmt: skip
+"""Attributes by which NetCDF says what stored numbers mean."""
+_NEVER_WRITTEN = {
+    "i2": -32767, "i4": -2147483647, "i8": -9223372036854775806, "f4": 2.0**122 * 1.875, "f8": 2.0**122 * 1.875,
+}  # fmt: skip
+"""What the NetCDF library stores where nothing was written (netcdf.h: NC_FILL_SHORT and so on)."""
+
 
 class Variable(NamedTuple):
     """An array before its values are read: names that it goes by, its shape, and why it can be no channel. One of two
@@ -217,13 +233,6 @@ def stated_unit(units: Any) -> str | None:
     return str(units).split(" since ")[0][:60] if isinstance(units, str) else None
 
 
-HDF5 = b"\x89HDF\r\n\x1a\n"  # what such a file begins with; MATLAB's has 512 bytes of its own before it
-OBJECT = (
-    "it holds a MATLAB object (a table, timetable or class), which only MATLAB can read; in MATLAB, save a struct of "
-    "vectors (table2struct(T, 'ToScalar', true)), or write .csv with writetable"
-)
-
-
 def open_hdf5(data: bytes, kind: str) -> OpenedFile:
     """The datasets of a NetCDF-4 or MATLAB v7.3 file; `kind` names it to the user."""
     if find_spec("h5py") is None:
@@ -267,17 +276,6 @@ def open_netcdf(data: bytes) -> OpenedFile:
         return loaded
 
     return named_arrays(listed, load)
-
-
-PACKING = (
-    "_Unsigned", "scale_factor", "add_offset", "_FillValue", "missing_value", "valid_min", "valid_max", "valid_range",
-    "flag_values", "flag_masks", "flag_meanings",
-)  # fmt: skip
-"""Attributes by which NetCDF says what stored numbers mean."""
-_NEVER_WRITTEN = {
-    "i2": -32767, "i4": -2147483647, "i8": -9223372036854775806, "f4": 2.0**122 * 1.875, "f8": 2.0**122 * 1.875,
-}  # fmt: skip
-"""What the NetCDF library stores where nothing was written (netcdf.h: NC_FILL_SHORT and so on)."""
 
 
 def unpacked(raw: np.ndarray, attributes: Mapping[str, Any], name: str) -> np.ndarray:

@@ -105,19 +105,19 @@ def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return value
 
 
-def _known_keys(table: Mapping[str, Any], keys: Collection[str], what: str) -> None:
-    """Refuse a key that is not among `keys`; `what` says what kind of key it is."""
+def known_keys(table: Mapping[str, Any], keys: Collection[str], what: str, where: str = "") -> None:
+    """Refuse a key that is not among `keys`; `what` says what kind of key it is, `where` begins the sentence."""
     for key in table:
         if key not in keys:
             close = get_close_matches(key, keys, n=1)
             hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(keys)}"
-            raise InputError(f"unknown {what} {key[:60]!r}; {hint}")
+            raise InputError(f"{where}unknown {what} {key[:60]!r}; {hint}")
 
 
 def _entry(given: Any, keys: Sequence[str], needs: int, here: str, example: str = "") -> Mapping[str, Any]:
     """A table of these keys, of which it must have the first so many."""
     _refuse(not isinstance(given, dict), f"{here} must be a table with {', '.join(keys)}{example}")
-    _known_keys(given, keys, f"key of {here}")
+    known_keys(given, keys, f"key of {here}")
     for key in keys[:needs]:
         _refuse(key not in given, f"{here} has no {key}{example or '; add it'}")
     return given
@@ -170,7 +170,7 @@ SIGNED = ("Ixz", "Ixy", "Iyz", "engine_inclination", "engine_arm", *POSITIONS)
 
 def parse_aircraft(table: Mapping[str, Any]) -> Aircraft:
     """Constants in SI; the aspect ratio is span squared over wing area where it is not stated."""
-    _known_keys(table, AIRCRAFT_KEYS, "key of [aircraft]")
+    known_keys(table, AIRCRAFT_KEYS, "key of [aircraft]")
     spans = f"span ({table.get('span')}) and half_span ({table.get('half_span')})"
     _refuse("span" in table and "half_span" in table, f"[aircraft] has {spans}; keep one of them")
     values: dict[str, Any] = {}
@@ -252,7 +252,7 @@ def _parse_channels(table: Mapping[str, Any]) -> dict[str, Any]:
         low, high = STANDARD_CHANNELS[key].plausible
         _refuse(not low <= value <= high, f"[constants] {key} is {given[key]!r}, beyond any flight; check its unit")
     derived = dict(_section(table, "derived"))
-    _known_keys(derived, RULES, "key of [derived]")
+    known_keys(derived, RULES, "key of [derived]")
     for key, value in derived.items():
         rules = " or ".join(repr(rule) for rule in RULES[key])
         _refuse(value not in [*RULES[key]], f"[derived] {key} is {str(value)[:60]!r}; write {rules}")
@@ -385,7 +385,7 @@ def _grid(given: Any, what: str) -> np.ndarray:
 
 def parse_envelope(table: Mapping[str, Any]) -> Envelope:
     """[envelope] of a card: [least, greatest] of each quantity, with units; of `altitude_loss` the greatest alone."""
-    _known_keys(table, (*UNITS, "programmed_inputs"), "quantity of [envelope]")
+    known_keys(table, (*UNITS, "programmed_inputs"), "quantity of [envelope]")
     ranges, programmed = dict(DEFAULT_RANGES), table.get("programmed_inputs", False)
     _refuse(not isinstance(programmed, bool), f"[envelope] programmed_inputs is {programmed!r}; write true or false")
     stated = {key: given for key, given in table.items() if key in UNITS}
@@ -417,7 +417,7 @@ class FlyCard:
 
 def _parse_fly(table: Mapping[str, Any], channels: Mapping[str, Channel]) -> FlyCard:
     """Check [fly]; that its names are outputs and states is checked when a record is flown."""
-    _known_keys(table, ("outputs", "initial_state", "held"), "key of [fly]")
+    known_keys(table, ("outputs", "initial_state", "held"), "key of [fly]")
     outputs, held, given = table.get("outputs"), table.get("held", []), table.get("initial_state", {})
     if outputs is not None:
         listed = _strings(outputs, '[fly] outputs must be a list of channels, e.g. ["alpha", "q"]')
@@ -480,12 +480,12 @@ class LinearCard:
 
 def _parse_linear(table: Mapping[str, Any], channels: Collection[str]) -> LinearCard:
     """Check [linear]; `channels` are those that the card maps, sums or holds constant."""
-    _known_keys(table, ("states", "rates", "outputs", "fixed", "delays", "by_manoeuvre"), "key of [linear]")
+    known_keys(table, ("states", "rates", "outputs", "fixed", "delays", "by_manoeuvre"), "key of [linear]")
     states = _strings(table.get("states"), '[linear] states must be a list of channels, e.g. ["alpha", "q"]')
     _refuse(len(set(states)) < len(states), "[linear] states names a state twice")
     _all_mapped(states, channels, "[linear] states uses")
     rates, outputs, delays = (_section(table, key) for key in ("rates", "outputs", "delays"))
-    _known_keys(rates, states, "state of [linear.rates]")
+    known_keys(rates, states, "state of [linear.rates]")
     for name in states:
         _refuse(name not in rates, f"[linear.rates.{name}] is missing; every state needs its rate")
     _all_mapped(outputs, channels, "[linear.outputs] uses")
@@ -505,7 +505,7 @@ def _parse_linear(table: Mapping[str, Any], channels: Collection[str]) -> Linear
     for name, row in zip(card.outputs, card.readings, strict=True):
         beyond = name in states and any(term.channel != ONE for term in row)
         _refuse(beyond, f'[linear.outputs.{name}] is a state, an output already; it may only have a bias, by = "1"')
-    _known_keys(delays, (*card.states, *card.outputs), "output of [linear.delays]")
+    known_keys(delays, (*card.states, *card.outputs), "output of [linear.delays]")
     for output, parameter in delays.items():
         unused = isinstance(parameter, str) and parameter not in multiplied
         _refuse(not unused, f"[linear.delays] {output} must be the name of a parameter of no row")
@@ -618,7 +618,7 @@ def read_card(name_or_path: str | Path) -> Card:
 def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = "") -> Card:
     """Check a card's table and turn it into a `Card`; `where` is named in errors."""
     try:
-        _known_keys(table, SECTIONS, "section")
+        known_keys(table, SECTIONS, "section")
         _refuse_unfilled(table)
         for key in ("channels",) if "linear" in table else ("aircraft", "channels", "model"):
             lacks = not isinstance(table.get(key), dict)
@@ -654,7 +654,7 @@ def _parse_model(table: Mapping[str, Any], folder: Path, channels: Collection[st
     model, gp, files = _section(table, "model"), _section(table, "gp"), "[model] effect_files"
     effects = ()
     if not linear:
-        _known_keys(model, ("effects", "effect_files", "fixed", "axes"), "key of [model]")
+        known_keys(model, ("effects", "effect_files", "fixed", "axes"), "key of [model]")
         effects = _strings(model.get("effects"), "[model] effects must be a list of effect names")
     _refuse(len(set(effects)) < len(effects), "[model] effects names an effect twice")
     axes, possible = model.get("axes", [Axis.LONGITUDINAL.value]), [axis.value for axis in Axis]
@@ -665,8 +665,8 @@ def _parse_model(table: Mapping[str, Any], folder: Path, channels: Collection[st
         refuse_no_body(aircraft)
     changes = {key: _parse_parameter(key, value) for key, value in _section(table, "parameters").items()}
     if linear:
-        _known_keys(changes, linear.parameters, "parameter")
-    _known_keys(gp, ("inputs",), "key of [gp]")
+        known_keys(changes, linear.parameters, "parameter")
+    known_keys(gp, ("inputs",), "key of [gp]")
     named = _strings(model.get("effect_files", []), f"{files} must be a list of paths of Python files", empty=True)
     for path in named:
         _refuse(not path.isprintable() or not path.strip(), f"{files} has {path!r}, which is no path of a Python file")

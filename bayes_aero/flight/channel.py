@@ -148,25 +148,19 @@ _NAMES: dict[str, str] = {
     "radio_altitude": "radalt ralt hradio radioaltitude radaralt",
     "elevator": "de deteu deted elevteu elevted elevator elev delv deltae elevatordeflection elevatorposition elevpos "
     "elevatorpos dele elevdefl",
-    "elevator_left": "elvl",
-    "elevator_right": "elvr",
+    "elevator_left": "elvl", "elevator_right": "elvr",
     "canard": "canard deltac canardposition canardpos canarddeflection",
     "stabilizer": "stab stabilizer stabiliser ih ihtrm pitchtrim stabtrim htrim stabpos",
     "rudder": "dr rudder rud drud rudderposition rudpos deltar rudderdeflection",
     "aileron": "ail aileron da dail deltaa aileronposition ailpos ailerondeflection dela",
-    "aileron_left": "ailleft aill dal",
-    "aileron_right": "ailright ailr dar",
+    "aileron_left": "ailleft aill dal", "aileron_right": "ailright ailr dar",
     "flap": "flap flaps flapposition flappos df flapangle flapdeflection",
-    "spoiler_left": "dspll spll",
-    "spoiler_right": "dsplr splr",
-    "n1_left": "n1l n1eng1 n11 n1t1l",
-    "n1_right": "n1r n1eng2 n12 n1t2r",
+    "spoiler_left": "dspll spll", "spoiler_right": "dsplr splr",
+    "n1_left": "n1l n1eng1 n11 n1t1l", "n1_right": "n1r n1eng2 n12 n1t2r",
     "thrust": "thrust fn netthrust totalthrust thrusttotal fntotal thr",
-    "thrust_left": "fnl fnleft thrust1 fn1 thrl",
-    "thrust_right": "fnr fnright thrust2 fn2 thrr",
+    "thrust_left": "fnl fnleft thrust1 fn1 thrl", "thrust_right": "fnr fnright thrust2 fn2 thrr",
     "throttle": "throttle throttleposition throttlepos",
-    "throttle_left": "throttle1",
-    "throttle_right": "throttle2",
+    "throttle_left": "throttle1", "throttle_right": "throttle2",
     "engine_speed": "rpm enginerpm enginespeed proprpm propellerspeed",
     "dynamic_pressure": "qbar dynamicpressure dynpress dynpres dynpressure pdyn qdyn qinf dynp",
     "p_dot": "pdot rollaccel rollacceleration angularaccx",
@@ -179,10 +173,9 @@ _NAMES: dict[str, str] = {
     "static_temperature": "sat oat temperature statictemperature tstat outsideairtemperature ts",
     "static_pressure": "ps pstat staticpressure pstatic",
     "fuel_used": "fuelused fuelus fuelburn fuelburned",
-    "latitude": "lat latitude",
-    "longitude": "lon long longitude",
+    "latitude": "lat latitude", "longitude": "lon long longitude",
     "gear": "gear gearpos landinggear",
-}
+}  # fmt: skip
 
 
 # Names of the left and right half of what has two: "aileronr" and "raileron" are not the aileron. Only of whole words:
@@ -217,6 +210,14 @@ _BESIDE = frozenset(
     "gyro vane sensor meas measured recorded raw filt filtered up down imu ahrs ins irs adc fdr eng probe boom".split()  # noqa: SIM905
 )
 """Words that say where a channel comes from or which way it counts, not what it is: "Q gyro", "NZ up"."""
+_SIDES = dict.fromkeys("l left lh lft port 1".split(), "left")  # noqa: SIM905
+_SIDES |= dict.fromkeys("r right rh rgt stbd starboard 2".split(), "right")  # noqa: SIM905
+_NUMBERED = re.compile(r"\b(eng|engine|motor|no|nr)([12])\b")
+_AROUND = frozenset("eng engine motor no nr net total".split())  # noqa: SIM905
+_SYMBOLS = frozenset(
+    "nx ny nz ax ay az tas ktas ias kias cas kcas vtas aoa aos alpha beta theta phi psi mach rho".split()  # noqa: SIM905
+)
+_WANTED = frozenset("cmd command commanded target desired demand demanded ref reference selected sel set".split())  # noqa: SIM905
 
 
 def _parted(heading: str) -> tuple[str, str]:
@@ -232,12 +233,6 @@ def plain_heading(heading: str) -> str:
     kept = [word for word in _PARTS.split(name) if word and word.lower() not in _BESIDE]
     named = kept and any(not spellings(k) or k.lower() in ALIASES for k in kept)
     return "_".join(kept) + unit if named else heading
-
-
-_SIDES = dict.fromkeys("l left lh lft port 1".split(), "left")  # noqa: SIM905
-_SIDES |= dict.fromkeys("r right rh rgt stbd starboard 2".split(), "right")  # noqa: SIM905
-_NUMBERED = re.compile(r"\b(eng|engine|motor|no|nr)([12])\b")
-_AROUND = frozenset("eng engine motor no nr net total".split())  # noqa: SIM905
 
 
 def side_of(heading: str) -> tuple[str, str] | None:
@@ -274,12 +269,6 @@ def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]
 def _spelled(text: str, si: str | None) -> str | None:
     """Only what the table of spellings knows: to pint, "(cal)" would be a calorie."""
     return canonical(text, si) if spellings(text) else None
-
-
-_SYMBOLS = frozenset(
-    "nx ny nz ax ay az tas ktas ias kias cas kcas vtas aoa aos alpha beta theta phi psi mach rho".split()  # noqa: SIM905
-)
-_WANTED = frozenset("cmd command commanded target desired demand demanded ref reference selected sel set".split())  # noqa: SIM905
 
 
 def is_command(heading: str) -> bool:

@@ -167,8 +167,7 @@ def bytes_of(path: Path) -> bytes:
 def _no_such_file(path: Path) -> str:
     if not path.parent.is_dir():
         return f"no such file: its folder {str(path.parent)!r} does not exist; correct the path"
-    neighbours = [entry.name for entry in path.parent.iterdir()][:10_000]
-    close = get_close_matches(path.name, neighbours, n=3)
+    close = get_close_matches(path.name, [entry.name for entry in path.parent.iterdir()][:10_000], n=3)
     return "no such file; " + (f"did you mean {' or '.join(close)}?" if close else "correct the path")
 
 

@@ -271,8 +271,7 @@ def parts_of(time: np.ndarray) -> list[tuple[int, int]]:
     seams = (step > GAP * median) | ((step < 0.0) if repeated else (step <= 0.0))
     if repeated or np.mean(seams) > 0.05:  # stamps that are rounded or uneven throughout are no gaps
         seams = (step > 5.0 * max(median, float(np.mean(step[step >= 0.0])))) | (step < 0.0)
-    edges = [0, *(np.flatnonzero(seams) + 1).tolist(), len(time)]
-    return list(pairwise(edges))
+    return list(pairwise([0, *(np.flatnonzero(seams) + 1).tolist(), len(time)]))
 
 
 # --- Write flight records to files that `reading.read_record` reads.

@@ -146,7 +146,7 @@ def check_records(
         effects = tuple(own_effects(used.effect_files).values())
         not_testable = dict(candidate_model(Model.from_card(used), join(sound, used, ()), effects).not_testable)
     why = "not asked for" if not sensors else "" if whole else "a record is not usable"
-    if not why and progress:
+    if not why:
         progress("do the sensors agree?", 0.5)
     errors, sought, check = (None, "", SensorCheck(why, {}, {})) if why else errors_of_sensors(sound, card, seed)
     checks = record_checks(sound, card, seed, errors=errors, seek=False, left_out=why)

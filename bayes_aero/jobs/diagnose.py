@@ -144,8 +144,7 @@ def follow_up(
             written, failed = draw_all(DIAGNOSIS_FIGURES, view, kept.out / "figures", progress)
             kept.fail(failed)
         progress("report", 0.0)
-        drawn = {path.stem: path for path in written}
-        context = PageContext(card, records, kept.source, drawn, kept.result)
+        context = PageContext(card, records, kept.source, {path.stem: path for path in written}, kept.result)
         kept.fail(put_page(lambda: diagnosis_page(kept.result.view, context), kept.out))
 
 
@@ -185,10 +184,6 @@ class ResultStore(Growing[Outcome]):
             flown = seen.trajectories.paths if seen.trajectories else ()
             by_coefficients = partial(diagnosed, seen) if isinstance(seen, View) else dict
             self.fail(put_histories(lambda: {**by_coefficients(), **flights(flown)}, self.out))
-
-    def fail(self, failures: Sequence[str]) -> None:
-        if failures:
-            self.keep(failures=failures)
 
 
 # --- What follows a diagnosis while trajectories are flown: test points, sizes in a band, stalls, scores.

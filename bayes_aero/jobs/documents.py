@@ -27,6 +27,10 @@ Pair = tuple[Number, Number]
 Band = tuple[float, float]
 Matrix = list[list[Number]]
 GROWTH = "By fitted output: residual size in fully separated flow over that in attached flow; it weighs the samples."
+HEALTH = "Faults of channels, as printed first; empty for sound records."
+FAILURES = "A sentence on each part that failed unexpectedly; all others are valid. The exit code is then 1."
+PROVENANCE = "The only part that names a time or a machine; the rest is equal for equal seed and command."
+PROVENANCE_KEYS = ["command", "settings", "seed", "inputs", "card", "versions", "platform", "written"]
 Growth = Annotated[dict[str, Annotated[float, Meta(ge=1)]], Meta(description=GROWTH)]
 TWO, FOUR = Meta(min_length=2), Meta(min_length=4)  # keys, that is all of them
 Gains = Annotated[dict[Literal["elpd", "elpd_se"], Number], TWO]
@@ -149,24 +153,9 @@ class ConsistencyPart(Part):
 
 
 Records = Annotated[list[RecordPart], Meta(min_length=1)]
-Health = Annotated[
-    list[HealthFinding], Meta(description="Faults of channels, as printed first; empty for sound records.")
-]
-Provenance = Annotated[
-    dict[str, Any],
-    Meta(
-        description="The only part that names a time or a machine; the rest is equal for equal seed and command.",
-        extra_json_schema={
-            "required": ["command", "settings", "seed", "inputs", "card", "versions", "platform", "written"]
-        },
-    ),
-]
-Failures = Annotated[
-    list[str],
-    Meta(
-        description="A sentence on each part that failed unexpectedly; all others are valid. The exit code is then 1."
-    ),
-]
+Health = Annotated[list[HealthFinding], Meta(description=HEALTH)]
+Failures = Annotated[list[str], Meta(description=FAILURES)]
+Provenance = Annotated[dict[str, Any], Meta(description=PROVENANCE, extra_json_schema={"required": PROVENANCE_KEYS})]
 
 
 class MarginalPart(Part):

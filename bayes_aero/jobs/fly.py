@@ -208,10 +208,8 @@ class FlightStore(Growing[Flight]):
         many = figures and len(self.records) > MOST_MANOEUVRES
         self.keep([f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else (), failed)
         progress("report", 0.95)
-        pictures = {path.stem: path for path in drawn}
-        context = PageContext(self.card, self.records, self.source, pictures, self.result)
-        if failed := put_page(lambda: fly_page(flight.flown, context), out):
-            self.keep((), failed)
+        context = PageContext(self.card, self.records, self.source, {path.stem: path for path in drawn}, self.result)
+        self.fail(put_page(lambda: fly_page(flight.flown, context), out))
 
 
 # --- The fits: coefficients, first values from them, output error.

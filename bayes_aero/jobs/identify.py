@@ -125,13 +125,11 @@ class IdentificationJob(Growing[Identification]):
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
         """Tell when a stage begins and ends, and keep how long it took."""
-        if self.progress:
-            self.progress(stage, 0.0)
+        self.progress(stage, 0.0)
         began = time.perf_counter()
         yield
         self.seconds[stage] = time.perf_counter() - began
-        if self.progress:
-            self.progress(stage, 1.0)
+        self.progress(stage, 1.0)
 
     def stage(self, name: str, left_out: str, do: Callable[[], Any], *, bad: str = "") -> Any:
         """What a stage returns, or None where it fails, with a note; for bad input by the form of a note `bad`."""
@@ -163,9 +161,7 @@ class IdentificationJob(Growing[Identification]):
                 {},
                 {},
                 notes=(*self.left_out, *self.spikes, *(rate_notes(self.records) if matched else ()), *notes),
-                failures=checked.failures,
-                health=checked.health,
-                consistency=checked.consistency,
+                **vars(checked),  # failures, health, consistency
                 truth=truth,
                 seconds=self.seconds,
                 forming=forming,
@@ -233,9 +229,7 @@ class IdentificationJob(Growing[Identification]):
         if options.page:
             shown = (self.source, {p.stem: p for p in drawn}, self.flown)
             with self.timed("report"):
-                failed = put_page(lambda: identification_page(self.result, *shown), out)
-            if failed:
-                self.keep((), failed)
+                self.fail(put_page(lambda: identification_page(self.result, *shown), out))
 
 
 def sampled(
@@ -249,10 +243,8 @@ def sampled(
     modes: dict[Colour, PosteriorMode] | None = None,
 ) -> tuple[Posterior, tuple[str, ...]]:
     """A posterior and notes on it; `modes` keeps what was sought, for the next engine."""
-    density, modes = (
-        Density.of(run.observations, run.model, Noise(colour), run.mle.bias),
-        {} if modes is None else modes,
-    )
+    density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
+    modes = {} if modes is None else modes
     if colour not in modes:
         modes[colour] = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
     mode = modes[colour]

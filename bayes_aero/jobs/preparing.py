@@ -50,11 +50,9 @@ def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
         "name": effect.name,
         "kind": effect.kind.value,
         "stage": effect.stage.name.lower(),
-        "claim": effect.claim,
-        "formula": effect.formula,
+        **picked(effect, "claim", "formula"),
         "parameters": parameters,
-        "needs": list(effect.channels),
-        "rests_on": list(effect.uses),
+        **picked(effect, "needs=channels", "rests_on=uses"),
         "axes": [axis.value for axis in effect.axes],
         "proposed_by_diagnose": effect.candidate and (card is None or effect.acts_on(card.axes)),
         "example": picked(effect.example, "parameters", "signals", "known", "increments", "source")
@@ -218,6 +216,12 @@ HELD = (*LATERAL, "density", "thrust")  # may be stated as constants
 LEVEL = {"phi": "deg", "beta": "deg", "ay": "m/s^2"}  # the flight path's, zero where wings stay level; in this unit
 STILL = np.deg2rad(0.5)  # rad/s of roll and yaw rate, in the mean square
 KINEMATIC = ("theta", "phi", "beta", "ay", "altitude")
+SUMS = {
+    "thrust": 'thrust = ["thrust_left", "thrust_right"]',
+    "elevator": "elevator = { elevator_left = 0.5, elevator_right = 0.5 } # the mean of both",
+    "elevon": "elevator = { elevon_left = 0.5, elevon_right = 0.5 } # guess: the mean of the elevons",
+    "aileron": "aileron = { aileron_right = 0.5, aileron_left = -0.5 } # guess: down is positive on either side",
+}
 
 
 class Todo(str):
@@ -365,14 +369,6 @@ def _implausible(name: str, guess: Guess) -> str:
 
 def _taken(guesses: Mapping[str, Guess]) -> set[str]:
     return {name for name, guess in guesses.items() if not _implausible(name, guess)}
-
-
-SUMS = {
-    "thrust": 'thrust = ["thrust_left", "thrust_right"]',
-    "elevator": "elevator = { elevator_left = 0.5, elevator_right = 0.5 } # the mean of both",
-    "elevon": "elevator = { elevon_left = 0.5, elevon_right = 0.5 } # guess: the mean of the elevons",
-    "aileron": "aileron = { aileron_right = 0.5, aileron_left = -0.5 } # guess: down is positive on either side",
-}
 
 
 def sums_block(guesses: Mapping[str, Guess]) -> Iterator[str]:

@@ -90,11 +90,8 @@ def diagnosis_results(
         residuals={when: model.composition for when, model in models.items()},
         trajectories=trajectories_part(view.trajectories, card),
         stall={} if seen is None else {name: stall.numbers() for name, stall in seen.stalls.items()},
-        test_points=outcome.test_points,
-        in_band=outcome.in_band,
-        health=outcome.health,
         notes=(*d.notes, *outcome.notes),
-        failures=outcome.failures,
+        **picked(outcome, "test_points", "in_band", "health", "failures"),
         provenance=provenance,
         hidden=UNSET if outcome.hidden is None else parts.HiddenPart.of((outcome.hidden, outcome.named)),
     )
@@ -176,8 +173,7 @@ def path_part(
 ) -> Any:
     """One simulated manoeuvre; `units` of outputs (SI) for channels that the program does not know by name."""
     part = parts.ComparedOutput if kind is parts.ComparedPath else parts.PathOutput
-    errors = path.errors.items()
-    outputs = {n: part.of(**vars(e) | vars(e.theil), unit=(units or UNITS)[n]) for n, e in errors}
+    outputs = {n: part.of(**vars(e) | vars(e.theil), unit=(units or UNITS)[n]) for n, e in path.errors.items()}
     return kind.of(path, outputs=outputs)
 
 

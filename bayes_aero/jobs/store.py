@@ -109,6 +109,10 @@ class Growing(Generic[Result]):
             if self.out is not None:
                 self.write(self.out)
 
+    def fail(self, failures: Sequence[str]) -> None:
+        if failures:
+            self.keep(failures=failures)
+
     def attempt(self, what: str, do: Callable[[], Any], otherwise: Any = None, *, bad: str = "") -> Any:
         """What `do` returns or, if it fails unexpectedly or by bad input with a form `bad` of a note, `otherwise`."""
         try:
@@ -118,8 +122,7 @@ class Growing(Generic[Result]):
                 raise
             self.keep([bad.format(what, error)])
             return otherwise
-        if failed:
-            self.keep((), failed)
+        self.fail(failed)
         return value
 
 
@@ -174,6 +177,8 @@ def write_environment(out: Path) -> None:
 
 RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(10))}
 """Names that Windows keeps for devices, whatever follows their first full stop."""
+FILES = {"results.json": "identify", "trajectories.json": "fly", "diagnosis.json": "diagnose"}
+MOST_BYTES = 1 << 28
 
 
 def writable(folder: Path) -> None:
@@ -209,10 +214,6 @@ def safe_name(words: str) -> str:
     """`words` as the beginning of a file's name on every system: no leading full stop or dash, no device of Windows."""
     words = words.lstrip(".-")
     return f"_{words}" if words.split(".")[0].split("-")[0].lower() in RESERVED else words
-
-
-FILES = {"results.json": "identify", "trajectories.json": "fly", "diagnosis.json": "diagnose"}
-MOST_BYTES = 1 << 28
 
 
 def result_file(given: str) -> Path | None:

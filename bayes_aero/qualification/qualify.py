@@ -40,6 +40,9 @@ from bayes_aero.residuals.equation_error import EquationError
 
 Vector = Float[np.ndarray, " k"]
 Drawn = Float[np.ndarray, "m n c"]  # of m draws, n samples and c outputs
+CENTRAL = (0.025, 0.975)
+DRAWS = 40  # for the mean square that parameters or gusts explain
+FAR = 1e30  # of a flight that left the envelope
 
 
 def errors(flown: SegmentTrajectories, theta: Vector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -91,8 +94,7 @@ def _added(gusty: SegmentTrajectories, theta: Float[Array, " k"], white: Float[A
     inputs = {name: x[0] for name, x in prepared.drives.items()}
 
     def fly(start, noise):
-        system = prepared.system
-        return through_gusts(system, start, inputs, gusty.dt[0], noise, gusty.outputs, gusty.substeps)
+        return through_gusts(prepared.system, start, inputs, gusty.dt[0], noise, gusty.outputs, gusty.substeps)
 
     made, sound = jax.vmap(fly)(jnp.stack([begin, states[0]]), jnp.stack([white[1:], jnp.zeros_like(white[1:])]))
     return jnp.where(jnp.all(sound, axis=0)[:, None], (made[0] - made[1]) / prepared.scale[0], jnp.inf)
@@ -192,11 +194,6 @@ def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int])
         P[0, 0] += 1.0
         variances.append(P[0, 0])
     return float(np.cumsum(variances)[np.array(lengths) - 1].sum() / sum(lengths))
-
-
-CENTRAL = (0.025, 0.975)
-DRAWS = 40  # for the mean square that parameters or gusts explain
-FAR = 1e30  # of a flight that left the envelope
 
 
 @dataclass(frozen=True)
@@ -357,8 +354,7 @@ def _judged(
         shown = None if kind is FlightKind.NEXT else beside
         tests.append(qualification.Test(kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
         if tests[-1].chance.verdict is qualification.ToleranceVerdict.UNDECIDED:
-            parts = by_parameters[:, keep, c], rest[:, keep, c]
-            still.append(OpenTest(kind, name, output, bands[output], *parts))
+            still.append(OpenTest(kind, name, output, bands[output], by_parameters[:, keep, c], rest[:, keep, c]))
     record, index = alone.flights, alone.index[0][keep]
     measured = {n: np.asarray(record.channels[n])[index] for n in outputs}
     simulated = {n: measured[n] - error[keep, c] for c, n in enumerate(outputs)}
@@ -558,8 +554,7 @@ class Region:
         if not names:
             return cls((), np.zeros((0, 0)), np.zeros(0))
         points = np.stack([np.asarray(flown[n], float) for n in names], axis=1)
-        scale = np.maximum(0.5 * np.ptp(points, axis=0), [LEAST[n] for n in names])
-        return cls(names, points, scale)
+        return cls(names, points, np.maximum(0.5 * np.ptp(points, axis=0), [LEAST[n] for n in names]))
 
     def offsets(self, motion: Mapping[str, Float[np.ndarray, " m"]]) -> Float[np.ndarray, "m k"]:
         """From the nearest point of the hull to every sample, in units of `scale`; zero inside."""

@@ -31,6 +31,9 @@ HIGHEST = 2 * PANEL  # whatever a channel is called
 PAPER = 580  # pixels of all panels together on paper, so that two figures share a sheet
 LEAST = 0.5  # of a panel's height there, however many panels there are
 FARTHEST = 1e30  # single precision ends soon beyond
+# What simulated a path, and what people read.
+MODELS = {"card": "card's model", "extended": "extended model"}
+FLOWN = {"start": "first values", "fitted": "fitted model"}
 
 
 class Line(NamedTuple):
@@ -78,11 +81,6 @@ def compared_panel(
     for (label, values), colour in zip(simulated.items(), (COLOURS["before"], COLOURS["after"]), strict=False):
         lines.append(Line(label, colour, values, "solid" if len(lines) == len(simulated) else "dashed"))
     return Panel(name, unit, tuple(lines), ((0, len(simulated)),), band, note=note)
-
-
-# What simulated a path, and what people read.
-MODELS = {"card": "card's model", "extended": "extended model"}
-FLOWN = {"start": "first values", "fitted": "fitted model"}
 
 
 def output_panels(paths: Mapping[str, SimulatedManoeuvre], units: Mapping[str, str]) -> list[Panel]:

@@ -46,14 +46,19 @@ NOTE: dict[str, Any] = {
 }  # fmt: skip
 
 MOST_MANOEUVRES = 12  # of a figure with a panel for each
+Drawing = Callable[["Identification"], Figure]
+Shown = TypeVar("Shown")
 
 
 class NotDrawn(Exception):  # noqa: N818 - not an error: the run simply has nothing to show there
     """The run holds nothing for this figure; the text says what is missing."""
 
 
-Drawing = Callable[["Identification"], Figure]
-Shown = TypeVar("Shown")
+def needed(part: Shown | None, missing: str) -> Shown:
+    """The part of a run that a figure shows; without it (none, or empty) there is no figure."""
+    if not part:
+        raise NotDrawn(missing)
+    return part
 
 
 def housed(draw: Callable[[Shown], Figure]) -> Callable[[Shown], Figure]:
@@ -112,8 +117,7 @@ def finish(figure: Figure, axes: np.ndarray, title: str, heads: Iterable[str], *
 def legend_below(figure: Figure, ax: Axes, columns: int = 0, **options: Any) -> None:
     """One legend for all panels, of what `ax` shows; in one row unless the `columns` are given."""
     handles, labels = ax.get_legend_handles_labels()
-    columns = columns or max(1, len(labels))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, **options)
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns or max(1, len(labels)), **options)
 
 
 def column_width(columns: int) -> float:

@@ -200,8 +200,7 @@ def columns_of(rows: Sequence[Any]) -> Callable[..., Column]:
 def parameter_columns(names: Sequence[str], units: Sequence[str]) -> list[Column]:
     """Parameters with their units, which people read behind the names."""
     both = [f"{name} {bracket(plain_unit(unit))}" for name, unit in zip(names, units, strict=True)]
-    apart = Column(names, "parameter"), Column(units, "unit")
-    return [*apart, Column(both, page="parameter")]
+    return [Column(names, "parameter"), Column(units, "unit"), Column(both, page="parameter")]
 
 
 def write_csv(table: Table, path: Path) -> Path:

@@ -57,13 +57,11 @@ DISTURBANCE = {  # turbulence and the like: first-order autoregressive increment
     "sigma_CL": 0.012, "sigma_CD": 0.003, "sigma_Cm": 0.001, "rho_CL": 0.5, "rho_CD": 0.3, "rho_Cm": 0.8,
 }  # fmt: skip
 
-
 PROFILES = (
     ((0, 6), (10, 6), (40, 15), (44, 17), (47, 11), (54, 16.5), (58, 12), (66, 17.5), (70, 8), (90, 6)),
     ((0, 7), (8, 6), (30, 14), (35, 17.5), (39, 12), (46, 17), (50, 10), (58, 16), (61, 17), (66, 7), (90, 5)),
 )
 """Of alpha: slow approach to the stall, then excursions past it; straight lines between (time s, alpha deg)."""
-
 
 RECORDED = (  # channels of the record beside the engines' thrust, in the order in which their noise is drawn
     "ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "airspeed", "altitude", "elevator", "mach",
@@ -91,8 +89,7 @@ def simulate_stall(
         disturbance=disturbance * increments,
     )
     alpha = float(pilot.alpha[0])
-    start = FlightState(95.0, alpha, alpha, 0.0, 5200.0)
-    (flight,) = fly(model, TRUTH, card.aircraft, [pilot], [start], DT)
+    (flight,) = fly(model, TRUTH, card.aircraft, [pilot], [FlightState(95.0, alpha, alpha, 0.0, 5200.0)], DT)
     flown = {name: flight[name] for name in (*RECORDED, "thrust_left", "thrust_right")}
     channels = {
         name: x + sensor_noise * card.sensors.get(name, 0.0) * rng.standard_normal(len(time))
@@ -113,6 +110,8 @@ MARGIN = 50  # samples flown before and after the record, for what reaches acros
 SAMPLES = round(LONGEST / DT) + 1 + 2 * MARGIN
 IDLE, CRUISE = 5_000.0, 22_000.0  # N
 SURFACES = ("rudder", "spoiler", "dlc", "flap")
+DEFLECTIONS = {"rudder": (3.0, True), "spoiler": (15.0, False), "dlc": (10.0, True), "flap": (14.0, False)}
+"""Greatest deflection in deg, and whether to either side."""
 
 
 def flight_time() -> Series:
@@ -168,14 +167,6 @@ def autoregressive(white: Float[np.ndarray, "n 3"], rho: Iterable[float], sigma:
         return s * np.asarray(lfilter([1.0], [1.0, -r], drive))
 
     return np.stack([series(*row) for row in zip(white.T, rho, sigma, strict=True)], axis=1)
-
-
-DEFLECTIONS = {
-    "rudder": (3.0, True),  # greatest deflection in deg, and whether to either side
-    "spoiler": (15.0, False),
-    "dlc": (10.0, True),
-    "flap": (14.0, False),
-}
 
 
 def _alpha(time: Series, rng: np.random.Generator, duration: float, stall: float) -> Series:

@@ -383,8 +383,7 @@ class _Correction(eqx.Module):
         x = np.stack(list(channels.values()))
         scale = np.maximum(np.max(np.abs(x), axis=1), 1e-3)
         numbers = {name: np.asarray(value, float) for name, value in values.items()}  # a Python number would be static
-        correction = cls(model, tuple(channels), numbers, dict(marks), aircraft, scale)
-        return correction, x / scale[:, None]
+        return cls(model, tuple(channels), numbers, dict(marks), aircraft, scale), x / scale[:, None]
 
     @eqx.filter_jit
     def __call__(self, x: Float[AnyArray, "k n"]) -> Float[Array, "k n"]:

@@ -207,6 +207,7 @@ XLA = "--xla_cpu_multi_thread_eigen=false"
 MAX_MEMORY_SHARE = 0.6  # of a worker's memory, above which its compiled programs are freed
 FILE_TIMEOUT = 5.0  # s, until a shared file system shows a new file
 _LOCK = threading.Lock()
+_CHECKED: set[str] = set()
 
 
 @dataclass(frozen=True)
@@ -272,9 +273,6 @@ def configure() -> None:
         compilation_cache.reset_cache()
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     ignore_cache_errors()
-
-
-_CHECKED: set[str] = set()
 
 
 def _check_driver(driver: Driver) -> None:

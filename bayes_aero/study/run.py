@@ -17,7 +17,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -27,7 +26,7 @@ import msgspec
 import bayes_aero
 from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
-from bayes_aero.flight.card import Card, read_card, read_table, shipped_cards
+from bayes_aero.flight.card import Card, known_keys, read_card, read_table, shipped_cards
 from bayes_aero.flight.reading import READERS
 from bayes_aero.flight.record import is_file, segment_of
 from bayes_aero.jobs.options import (
@@ -43,6 +42,7 @@ from bayes_aero.jobs.options import (
 from bayes_aero.jobs.store import (
     environment,
     environment_id,
+    picked,
     provenance,
     safe_name,
     sha256_of,
@@ -87,6 +87,7 @@ SHAPES = {
 }  # fmt: skip
 """What each key must be."""
 LISTS = ("records", "cards", "seeds", "splits", "noise", "effects")
+WORDS = {bool: "write true or false", str: 'write names in quotes, e.g. "alpha,q"', float: "write a number"}
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
     """Read and check a study; a card with effect files is refused unless `trust_effects`, for they are code."""
     raw, table = read_table(path, "study")
     where, folder = f"study {path}", path.parent
-    _known(table, KEYS, where, "key")
+    known_keys(table, KEYS, "key", f"{where}: ")
     try:
         study = msgspec.convert(table, StudyFile)
     except msgspec.ValidationError as reason:
@@ -179,14 +180,6 @@ def unit_of(task: str, folder: Path, options: Mapping[str, Any], choice: Any) ->
     words = "-".join(re.sub(r"[^A-Za-z0-9+_.]", "_", part) for part in parts if part)
     identity = hashlib.sha256(json.dumps(unit.settings, sort_keys=True).encode()).hexdigest()[:8]
     return replace(unit, name=f"{safe_name(words[:MAX_NAME_LENGTH])}-{identity}")
-
-
-def _known(table: Mapping[str, Any], keys: Sequence[str], where: str, what: str) -> None:
-    for key in table:
-        if key not in keys:
-            close = get_close_matches(key, keys, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(keys)}"
-            raise InputError(f"{where}: unknown {what} {key!r}; {hint}")
 
 
 def record_sets(study: StudyFile, folder: Path, where: str) -> list[tuple[Path, ...]]:
@@ -243,12 +236,9 @@ def check_variants(given: Sequence[Sequence[str]], cards: Mapping[Any, Card], ta
                 raise InputError(f"{where}: effects {list(names)} with card {card.name}: {reason}") from None
 
 
-WORDS = {bool: "write true or false", str: 'write names in quotes, e.g. "alpha,q"', float: "write a number"}
-
-
 def checked_options(given: dict[str, Any], task: str, where: str) -> dict[str, Any]:
     """The section [options], each of the kind that the task's options have."""
-    _known(given, tuple(OPTIONS[task]), where, f"option of the task {task}")
+    known_keys(given, OPTIONS[task], f"option of the task {task}", f"{where}: ")
     for key, value in given.items():
         kind = OPTIONS[task][key]
         kind = get_args(kind)[0] if get_origin(kind) is UnionType else kind  # what may be left out is optional
@@ -428,29 +418,14 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> None:
     for unit in units:
         manifest = _json(folder / unit.name / MANIFEST)
         document = _json(folder / unit.name / RESULTS[unit.task])
-        about = {
-            "records": " + ".join(unit.shown),
-            "card": unit.card_name,
-            "effects": " + ".join(unit.effects),
-            "noise": unit.noise,
-            "split": unit.split,
-            "seed": unit.seed,
-        }
+        about = {"records": " + ".join(unit.shown), "card": unit.card_name, "effects": " + ".join(unit.effects)}
+        about |= picked(unit, "noise", "split", "seed")
         state = manifest.get("state", "missing")
         status = document.get("mle", {}) if unit.task == "identify" else document
         verdict = status.get("verdict" if unit.task == "diagnose" else "status", "")
-        rows.append(
-            {
-                "unit": unit.name,
-                "state": state,
-                "task": unit.task,
-                **about,
-                "seconds": manifest.get("seconds"),
-                "verdict": str(verdict),
-                "doubts": "; ".join(doubts_of(unit, folder)),
-                "error": manifest.get("error", ""),
-            }
-        )
+        facts = {"unit": unit.name, "state": state, "task": unit.task, **about, "seconds": manifest.get("seconds")}
+        facts |= {"verdict": str(verdict), "doubts": "; ".join(doubts_of(unit, folder))}
+        rows.append(facts | {"error": manifest.get("error", "")})
         if state == "done":
             results += [{"unit": unit.name, **about, **row} for row in result_rows(unit.task, document)]
     tables = (pd.DataFrame(rows), pd.DataFrame(results, columns=list(RESULT_COLUMNS)))
@@ -538,14 +513,12 @@ def _table(out: Path, name: str) -> Any:
 UNITS, COPY = "units", "study.toml"
 Report = Callable[[int, int, Unit, str], None]
 """Called with the number of finished units, of all units, the running unit, and its stage."""
+UnitRunner = Callable[[Iterable[tuple[Mapping[str, Any], str]]], Iterator[Mapping[str, Any]]]
+"""Takes (description, folder) of units and yields the results of `run_unit` in any order, as a cluster does."""
 
 
 class StoppedError(Exception):
     """Why the rest of a study cannot run now, in one sentence; finished units are kept."""
-
-
-UnitRunner = Callable[[Iterable[tuple[Mapping[str, Any], str]]], Iterator[Mapping[str, Any]]]
-"""Takes (description, folder) of units and yields the results of `run_unit` in any order, as a cluster does."""
 
 
 @dataclass(frozen=True)

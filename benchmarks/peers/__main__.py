@@ -136,7 +136,6 @@ def page(found: dict[tuple[str, int], dict[str, dict]], facts: dict) -> str:
 
 
 def main() -> None:
-    """Prepare the data, run every contender, print the table."""
     options = parsed()
     if options.one:
         from stall import run_one  # the only way to NumPy in this file

@@ -171,19 +171,14 @@ def ours_with_bounds(problem: Problem, _: int, __: argparse.Namespace) -> Fittin
     return lambda _: fit_mle(model, observations, extra_starts=0).estimate
 
 
-def residual_of(problem: Problem) -> Callable[[np.ndarray], np.ndarray]:
-    """Weighted residuals (3 n,)."""
-    reference, weight = problem.reference, 1.0 / np.sqrt(problem.R)[:, None]
-    return lambda theta: (weight * (reference.measured - reference(theta))).ravel()
-
-
 def scipy_with(**how: str) -> Callable[[Problem, int, argparse.Namespace], Fitting]:
     """scipy.optimize.least_squares with its defaults otherwise."""
 
     def prepared(problem: Problem, _: int, __: argparse.Namespace) -> Fitting:
         from scipy.optimize import least_squares
 
-        residual = residual_of(problem)
+        reference, weight = problem.reference, 1.0 / np.sqrt(problem.R)[:, None]
+        residual = lambda theta: (weight * (reference.measured - reference(theta))).ravel()  # noqa: E731
         return lambda _: least_squares(residual, problem.start, x_scale="jac", **how).x
 
     return prepared
@@ -225,19 +220,19 @@ def our_sampler(engine: str) -> Callable[[Problem, int, argparse.Namespace], Sam
     """`sample_ensemble` or `sample_nuts`, as `identify` runs them; their burn-in always counts."""
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Sampling:
-        from bayes_aero.inference.sampling import ModeStatus, PosteriorMode
+        from bayes_aero.inference import sampling
         from bayes_aero.model.observations import Colour, Density, Noise
 
         model, observations = stall(problem)
         density = Density(observations, model, Noise(Colour.WHITE))
-        mode = PosteriorMode(problem.u, problem.factor, problem.posterior(problem.u), ModeStatus.CONVERGED)
-        if engine == "emcee":
-            from bayes_aero.inference.sampling import EnsembleLength as Length
-            from bayes_aero.inference.sampling import sample_ensemble as sample
-        else:
-            from bayes_aero.inference.sampling import NutsLength as Length
-            from bayes_aero.inference.sampling import sample_nuts as sample
-        length: Any = Length(*QUICK[engine]) if options.quick else Length()
+        converged = sampling.ModeStatus.CONVERGED
+        mode = sampling.PosteriorMode(problem.u, problem.factor, problem.posterior(problem.u), converged)
+        ours: dict[str, tuple[Any, Any]] = {
+            "emcee": (sampling.EnsembleLength, sampling.sample_ensemble),
+            "NUTS": (sampling.NutsLength, sampling.sample_nuts),
+        }
+        length, sample = ours[engine]
+        length = length(*QUICK[engine]) if options.quick else length()
 
         def run(seed: int) -> Drawn:
             found = sample(density, mode, seed=seed, predictive=False, length=length)

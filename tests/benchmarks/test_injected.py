@@ -26,6 +26,8 @@ from bayes_aero.model.model import own_effects
 from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import Beyond, hidden_records
 
+TERM_SEED = 107
+
 
 @pytest.fixture(scope="module")
 def record(card):
@@ -78,9 +80,6 @@ def test_sensor_errors_are_found_on_top_of_what_the_real_records_contain(attas_p
         assert name in after, name
         moved = after[name].mean - (before[name].mean if name in before else 0.0)
         assert moved == pytest.approx(size, abs=0.15 * abs(size) + 2.0 * after[name].sd), name
-
-
-TERM_SEED = 107
 
 
 @pytest.mark.verify

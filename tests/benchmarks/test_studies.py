@@ -26,6 +26,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.inference.gp_kernel import Priors, ReducedData, density_at, exact_point, noise_to_signal
 from bayes_aero.simulate.demo import TRUTH
 
+PEERS = Path(__file__).parents[2] / "benchmarks" / "peers"
+
 
 def test_ranks_have_the_closed_form_of_quantiles_and_uniform_ones_stay_in_their_band():
     draws = np.arange(1000.0)[:, None] / 1000.0
@@ -77,24 +79,19 @@ def test_the_table_counts_coverage_in_closed_form():
     assert bool(row["inside band"])
 
 
-COLOURED = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004, "rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95}
-
-
 @pytest.mark.verify
 def test_coverage_under_coloured_noise(thinned, model):
     """rho = 0.95: the AR(1) posterior covers, Cramer-Rao bounds and the white posterior do not.
 
     Sixty replicates of each of eight cells of colour and rate: benchmarks/interval_coverage.py.
     """
-    inside, _ = coverage_study(model, thinned, TRUTH, COLOURED, replicates=20, seed=17, white=4, max_steps=600)
+    noise = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004, "rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95}
+    inside, _ = coverage_study(model, thinned, TRUTH, noise, replicates=20, seed=17, white=4, max_steps=600)
     share = dict(zip(METHODS, np.nanmean(inside, axis=(0, 2)), strict=True))
     assert 0.91 <= share["AR(1) posterior"] <= 0.98
     assert share["CRB"] < 0.6
     assert share["white posterior"] < 0.6
     assert share["corrected CRB"] > 0.8
-
-
-PEERS = Path(__file__).parents[2] / "benchmarks" / "peers"
 
 
 @pytest.mark.verify
@@ -131,15 +128,11 @@ def test_the_inner_holdout_is_a_part_of_the_training_part(kind):
             assert len(np.unique(p.manoeuvre[p.train])) == 1
 
 
-README = Path(__file__).parents[2] / "benchmarks" / "README.md"
-COUNTS = [(0, 1), (1, 1), (0, 16), (3, 16), (5, 16), (16, 16), (7, 40), (191, 200), (200, 200)]
-
-
 @pytest.mark.parametrize(("side", "alternative"), [
     (Side.AT_MOST, "greater"), (Side.AT_LEAST, "less"), (Side.EQUAL, "two-sided"),
 ])  # fmt: skip
 def test_limits_are_those_of_clopper_and_pearson(side, alternative):
-    for hits, of in COUNTS:
+    for hits, of in ((0, 1), (1, 1), (0, 16), (3, 16), (5, 16), (16, 16), (7, 40), (191, 200), (200, 200)):
         exact = binomtest(hits, of, alternative=alternative).proportion_ci(LEVEL, method="exact")
         assert Claim("named", "", side, 0.95).limits(hits, of) == pytest.approx((exact.low, exact.high), abs=1e-12)
 
@@ -159,7 +152,7 @@ def test_a_claim_is_refuted_exactly_where_the_binomial_test_rejects_its_rate(sid
 def test_no_trials_refute_nothing_and_the_documentation_lists_every_claim_with_its_rate():
     assert all(claim.limits(0, 0) == (0.0, 1.0) and claim.holds(0, 0) for claim in CLAIMS)
     assert len({claim.key for claim in CLAIMS}) == len(CLAIMS)
-    text = README.read_text(encoding="utf-8")
+    text = (PEERS.parent / "README.md").read_text(encoding="utf-8")
     table = {row[0]: row[-1].rstrip(" |") for row in (line.split(" | ") for line in text.splitlines()) if len(row) == 3}
     for claim in CLAIMS:
         assert table[f"| `{claim.key}`"] == f"{claim.side} {claim.rate:g}"

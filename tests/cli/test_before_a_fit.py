@@ -87,9 +87,6 @@ def test_an_aileron_doublet_rolls_and_errors_of_sensors_that_a_card_fixes_are_in
     assert np.ptp(record["phi"]) > np.radians(4.0)
 
 
-CONSTANTS = {"mass": "8000 kg", "span": "15.492 m", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
-
-
 @pytest.fixture(scope="module")
 def foreign(flights, card, tmp_path_factory):
     """The simulated stall as another house would write it; and the record as it was."""
@@ -112,8 +109,9 @@ def foreign(flights, card, tmp_path_factory):
 
 def filled(text):
     """The card with its TODO entries filled in as a user would."""
+    known = {"mass": "8000 kg", "span": "15.492 m", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
     for key, unit in re.findall(r'^(\w+) = "TODO" # .*?(?:write "\.\.\. ([^"]*)"|$)', text, re.MULTILINE):
-        text = text.replace(f'{key} = "TODO"', f'{key} = "{CONSTANTS.get(key, f"3 {unit}")}"')
+        text = text.replace(f'{key} = "TODO"', f'{key} = "{known.get(key, f"3 {unit}")}"')
     return text
 
 

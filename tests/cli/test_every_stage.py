@@ -30,6 +30,7 @@ ATTACHED = (
 )  # fmt: skip
 STALL = ("flow_separation", "kirchhoff_lift", "separated_drag", "separated_moment")
 AIR = "standard atmosphere"
+SOUND = 324.6  # m/s, at 4000 m
 SECTIONS = {
     "sensors": 'alpha = "0.05 deg"\nq = "0.05 deg/s"\nax = "0.02 m/s^2"',
     "tolerances": 'alpha = "1 deg"\nq = "1 deg/s"',
@@ -38,6 +39,7 @@ SECTIONS = {
     "parameters.CL0": "start = 0.3",
 }
 RATES, LENGTHS, BEGINS = (5, 10, 20, 25, 50, 100), (6, 8, 12, 14, 18, 25), (2, 4, 10, 16, 30)  # Hz, s, s
+DEFECT = re.compile(r"defect of the program|Traceback|\b[A-Z]\w*(Error|Warning|Exception)\b")
 
 
 def written(
@@ -87,9 +89,6 @@ def drawn(rng):
     numbers = {name: rng.choice(values).item() for name, values in chosen.items()}
     numbers |= {"seed": int(rng.integers(1 << 30)), "without": without, "effects": effects}
     return numbers | {"constants": constants, "derived": derived, **sections}
-
-
-DEFECT = re.compile(r"defect of the program|Traceback|\b[A-Z]\w*(Error|Warning|Exception)\b")
 
 
 def ended(program, folder, *arguments, out=None):
@@ -158,10 +157,6 @@ def test_any_short_record(program, tmp_path):
         climbed(program, folder, quick=False, **short)
 
 
-CARDS = sorted(path.stem for path in (Path(__file__).parents[2] / "models").glob("*.toml"))
-SOUND = 324.6  # m/s, at 4000 m
-
-
 @pytest.fixture(scope="module")
 def gusty():
     """Two short manoeuvres of the aircraft of `full_six` in gusts, with all that the shipped cards read."""
@@ -195,6 +190,7 @@ def read_by(name, gusty, folder):
     return card, paths
 
 
+CARDS = sorted(path.stem for path in (Path(__file__).parents[2] / "models").glob("*.toml"))
 NOISE_OR_NONE = ("--process-noise", "--no-process-noise")
 PAIRS = [(name, noise) for name in CARDS for noise in NOISE_OR_NONE]
 

@@ -25,6 +25,7 @@ from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
 CARD, TRUE, flight = linear.SHORT_PERIOD, linear.SHORT_PERIOD_TRUTH, linear.short_period_flight
+QUICK = ("--no-process-noise", "--no-figures", "--out", "out")
 
 
 def written(folder, text, channels):
@@ -152,9 +153,6 @@ def test_a_posterior_is_written_and_bad_chains_are_told(program, tmp_path, monke
     holds(page, "do not use the intervals", "Posterior of pairs of parameters")
 
 
-QUICK = ("--no-process-noise", "--no-figures", "--out", "out")
-
-
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     """Three manoeuvres of another simulator as files, and their aircraft."""
@@ -212,11 +210,9 @@ def test_lateral_derivatives_come_back_with_the_longitudinal_motion_and_what_the
     refused(program("fly", files[1], "--model", "wrong.toml"), "[fly] held", "airspeed, alpha")
 
 
-NOT_REQUIRED = CARD.replace('"de", unit = "deg"', '"de", unit = "deg", required = false')
-
-
 @pytest.mark.parametrize(("text", "without", "options", "words"), [
-    (CARD, "elevator", "", "'de'"), (NOT_REQUIRED, "elevator", "", "elevator"),
+    (CARD, "elevator", "", "'de'"),
+    (CARD.replace('"de", unit = "deg"', '"de", unit = "deg", required = false'), "elevator", "", "elevator"),
     (CARD + '\n[output_biases]\nelevator = "1 deg"\n', "", "", "elevator cannot have a bias"),
     (CARD, "", "--windows 0.2", "at least 1 s"), (CARD, "", "--posterior", "a posterior"),
     (CARD, "", "--posterior --process-noise --no-priors", "a posterior"),

@@ -33,6 +33,8 @@ from bayes_aero.model.observations import Colour
 from bayes_aero.model.records import Forming
 from bayes_aero.processes import cache_folder
 
+GONE = object()  # a key that is left out
+
 
 def test_choices_are_those_of_the_libraries():
     assert get_args(options.FormingName) == tuple(x.value for x in Forming)
@@ -179,9 +181,6 @@ def test_results_follow_the_schema_and_are_told_alike_on_terminal_and_page(ident
     assert largest["ci95"][0] < largest["median"] < largest["ci95"][1]
     shown = [float(x) for x in re.findall(r"(\d\.\d{3,}) \(", page)]  # with as many digits as the interval needs
     assert any(x == pytest.approx(largest["median"], abs=5e-4) for x in shown)
-
-
-GONE = object()  # a key that is left out
 
 
 def test_what_is_not_as_the_classes_say_is_refused(identified):

@@ -62,15 +62,6 @@ def of_case(case: str, card: str) -> str:
     return text
 
 
-@pytest.fixture(scope="module")
-def book():
-    """The results of the book's programs, by case."""
-    path = BOOK / "references.json"
-    if not path.is_file():
-        pytest.skip(f"the data of the book and the published results are not in {BOOK}")
-    return json.loads(path.read_text(encoding="utf-8"))["cases"]
-
-
 def record(name: str, folder: Path) -> Path:
     """The file; of one with a matrix, its table with a time that hides the pause between two manoeuvres."""
     if not name.endswith(".mat"):

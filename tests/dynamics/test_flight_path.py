@@ -2,7 +2,6 @@
 
 # Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015. Published are outputs at the nose boom; here the
 # record is corrected to the centre of gravity by effects of the catalogue.
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,15 +31,7 @@ BOOM = 13.08  # m
 
 
 @pytest.fixture(scope="module")
-def published():
-    path = BOOK / "references.json"
-    if not path.is_file():
-        pytest.skip(f"the data of the book and the published results are not in {BOOK}")
-    return json.loads(path.read_text(encoding="utf-8"))["cases"]
-
-
-@pytest.fixture(scope="module")
-def flights(published, tmp_path_factory):  # noqa: ARG001
+def flights(book, tmp_path_factory):  # noqa: ARG001
     """Three manoeuvres; altitude in feet and pressure in hPa, as the publisher's list says of these files."""
     folder, paths = tmp_path_factory.mktemp("book"), []
     text = shipped_cards()["attas"].read_text(encoding="utf-8")
@@ -102,9 +93,9 @@ def agree(found, sd, expected, names):
 
 
 @pytest.mark.verify  # by the programs of the next two cases
-def test_biases_of_the_first_case_are_those_published(flights, published):
+def test_biases_of_the_first_case_are_those_published(flights, book):
     """TC22, as published."""
-    case = published["TC22"]["methods"]
+    case = book["TC22"]["methods"]
     det_R, found, sd = fitted(flights, BIASES, fixed=beginnings(case["oem_gauss_newton"]))
     agree(found, sd, case["independent_optimum"], BIASES)
     assert det_R == pytest.approx(case["independent_optimum"]["det_R"], rel=0.01)
@@ -116,9 +107,9 @@ def test_biases_of_the_first_case_are_those_published(flights, published):
     assert det_R == pytest.approx(expected["det_R"], rel=0.01)
 
 
-def test_delays_are_those_published(flights, published):
+def test_delays_are_those_published(flights, book):
     """TC33."""
-    expected = published["TC33"]["methods"]["independent_optimum"]
+    expected = book["TC33"]["methods"]["independent_optimum"]
     det_R, found, sd = fitted(flights, (*BIASES, *CALIBRATION, *DELAYS, "sideslip_delay"))
     agree(found, sd, expected, BIASES | DELAYS)
     # It differs by 1.1 ms, one deviation; why is not known.
@@ -129,9 +120,9 @@ def test_delays_are_those_published(flights, published):
     assert det_R == pytest.approx(expected["det_R"], rel=0.01)
 
 
-def test_biases_of_each_manoeuvre_are_those_published(flights, published):
+def test_biases_of_each_manoeuvre_are_those_published(flights, book):
     """TC32, set-up 4 with the angular accelerations in their true unit."""
-    expected = published["TC32"]["methods"]["independent_optimum_check_4_correct_units"]
+    expected = book["TC32"]["methods"]["independent_optimum_check_4_correct_units"]
     det_R, found, sd = fitted(flights, (*CALIBRATION, *BIASES), own=tuple(BIASES))
     agree(found, sd, expected, {f"{o}_{k}": f"{t}_segment_{k}" for o, t in BIASES.items() for k in (1, 2, 3)})
     assert det_R == pytest.approx(expected["det_R"], rel=0.01)

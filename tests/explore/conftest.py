@@ -4,6 +4,7 @@ import asyncio
 import json
 import shutil
 import threading
+from functools import partial
 from queue import Queue
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ from calling import called, recorded
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.explore.opened import Simulator, open_result
-from bayes_aero.explore.page import PageServer, page_of
+from bayes_aero.explore.page import ExplorePage, PageServer
 from bayes_aero.flight.reading import read_record
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.physics.aircraft import FLIGHT
@@ -66,7 +67,7 @@ def served(results, tmp_path_factory):
     """The page of a copy of the result of fly, served by a thread: `url`, `port` and `folder`."""
     folder = tmp_path_factory.mktemp("served") / "flown"
     shutil.copytree(results.flown, folder)
-    fill = page_of(Simulator(open_result(str(folder), None, [results.folder])))
+    fill = partial(ExplorePage, Simulator(open_result(str(folder), None, [results.folder])))
     ready: Queue[PageServer] = Queue()
 
     def run():

@@ -25,6 +25,9 @@ from bayes_aero.jobs.finished import FORMS
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 
+UPGRADE = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}  # with the key of RFC 6455
+UPGRADE |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protocol": "bokeh, none"}
+
 
 def agree(found, expected):
     for name, y in expected.items():
@@ -220,10 +223,6 @@ def test_what_it_never_sends_is_one_sentence(old, new):
     assert text != SENT
     with pytest.raises(InputError, match=r"the page sent what it never sends .*; load it again"):
         read_asked(text)
-
-
-UPGRADE = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}  # with the key of RFC 6455
-UPGRADE |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protocol": "bokeh, none"}
 
 
 def asked(port, path="/", **headers):

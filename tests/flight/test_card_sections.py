@@ -32,8 +32,6 @@ STATED = {
     "mass": "377.281 slug", "Ix": "8197.35 slug-ft2", "Iy": "11710.5 slug-ft2", "Iz": "18736.8 slug-ft2",
     "Ixz": "0 slug-ft2", "wing_area": "377.93 ft2", "chord": "7.406 ft", "tail_arm": "19.94 ft",
 }  # fmt: skip
-
-
 SPAN = {"span": "51.56 ft"}
 
 

@@ -340,7 +340,6 @@ LAWS = {  # gains, true or measured outputs, lag of the actuator, noise of the r
     "integral of theta, not recorded, a lag": {"gains": (0.0, 0.5, 0.0, 0.25), "without": ("theta",), "lag": 0.15},
 }
 
-
 PILOTS = {
     "doublets": lambda t: np.where(t % 20.0 < 4.0, np.sign(np.sin(2.0 * np.pi * t / 4.0)), 0.0),
     "3211": lambda t: np.interp(t, [4.99, 5.0, 7.99, 8.0, 9.99, 10.0, 10.99, 11.0, 11.99, 12.0],

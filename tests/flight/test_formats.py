@@ -35,6 +35,7 @@ LIBRARIES = {".xlsx": "openpyxl", ".mf4": "asammdf", ".ulg": "pyulog", ".bin": "
 FORMATS = (".asc", ".txt", ".dat", ".csv", ".mat", ".parquet", ".nc")
 TWO = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))
 NAMED = (".csv", ".mat", ".parquet", ".nc")
+T60 = np.arange(60) * 0.04
 
 
 def test_every_reader_is_listed_and_tested():
@@ -77,9 +78,6 @@ def test_paths_that_are_no_files(tmp_path, monkeypatch):
         refused(path, CHANNELS, "more than 100", "cut it")
     monkeypatch.setattr(Path, "read_bytes", Mock(side_effect=PermissionError(13, "Permission denied")))
     refused(path, CHANNELS, "Permission denied", "check its name and permissions")
-
-
-T60 = np.arange(60) * 0.04
 
 
 def mat(value, **options):

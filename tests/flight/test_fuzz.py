@@ -24,8 +24,6 @@ MAGIC = {
     ".mat": b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM", ".parquet": b"PAR1", ".nc": b"\x89HDF\r\n\x1a\n",
     "classic.nc": b"CDF\1",
 }  # fmt: skip
-
-
 IN_SI = {c.name: float(to_si(1.0, c.unit, c.name)) for c in CHANNELS}
 
 

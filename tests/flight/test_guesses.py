@@ -94,7 +94,6 @@ CASES = [  # heading, channel, SI values, SI size of one of the unit, spellings
 ]
 SPELLED = [(*case[:4], unit) for case in CASES for unit in case[4].split(" ")]
 PITCHING = "Time [s],RollRate [deg/s],Roll [deg],PitchRate [deg/s],Pitch [deg],AoA [deg],Elevator [deg]"
-
 LAYOUTS = {"brackets": "Time [s],{0} ({1})", "unit row": "Time,{0}\ns,{1}"}
 
 

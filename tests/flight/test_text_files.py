@@ -84,8 +84,6 @@ def test_columns_between_blanks_in_utf16_and_without_a_name(tmp_path):
 
 
 QUOTED_HEADER = ",".join(f'"{label}"' for label in LABELS) + "\n"
-
-
 QUOTE = lambda row: '"' + row.replace(",", '","') + '"'
 
 

@@ -1,6 +1,5 @@
 """Fits in a band: exact transforms, recovery of known truths, bounds against scatter, and what drift does to them."""
 
-import json
 from pathlib import Path
 
 import linear_cards as cards
@@ -188,12 +187,10 @@ def test_records_that_do_not_go_together_or_lack_a_state_are_refused():
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_published_fourier_transform_regression(case):
+def test_published_fourier_transform_regression(case, book):
     """Within two published standard deviations: the published lines are 0.04 Hz apart, of both manoeuvres in a row, and
     a complex residual counts as one."""
-    if not (BOOK / "references.json").is_file():
-        pytest.skip(f"the data of the book and the published results are not in {BOOK}")
-    published = json.loads((BOOK / "references.json").read_text(encoding="utf-8"))["cases"][case]["methods"]["ftr"]
+    published = book[case]["methods"]["ftr"]
     card, records = read_card(CASES[case][0]), []
     for name in CASES[case][1]:
         (table,) = (np.deg2rad(x) for key, x in scipy.io.loadmat(BOOK / name).items() if not key.startswith("_"))

@@ -33,6 +33,7 @@ DT, N = 0.04, 1500
 F = np.array([0.004, 0.02])  # alpha, q
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
 R = np.square([*NOISE.values()])
+HEAVY = np.random.default_rng(0).standard_t(3.0, (1, 3000, 1)) / np.sqrt(3.0)  # unit variance; 0.60 inside 50 %
 
 
 def innovations(z: np.ndarray) -> Filtered:
@@ -126,9 +127,6 @@ def test_errors_of_an_output_do_not_know_the_other_outputs_of_their_sample(flown
     innovation, errors = (np.asarray(x)[0, :N] for x in (made.innovation, errors))
     assert errors[:, 0] == pytest.approx(innovation[:, 0], abs=1e-12)
     assert np.std(innovation[:, -1]) < 0.99 * np.std(errors[:, -1])
-
-
-HEAVY = np.random.default_rng(0).standard_t(3.0, (1, 3000, 1)) / np.sqrt(3.0)  # unit variance; 0.60 inside 50 %
 
 
 @pytest.mark.parametrize(("z", "calibration"), [

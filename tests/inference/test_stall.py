@@ -139,9 +139,6 @@ def test_singular_information_and_bounds_are_reported(thinned, model):
 
 
 # Estimates without the bias from recording noise: simulated truth, records without noise, an identity
-VANE = np.radians(0.3)
-
-
 def flown(card, seed, sensor_noise):
     return [simulate_stall(i, card=card, seed=seed, sensor_noise=sensor_noise, disturbance=0.0) for i in range(2)]
 
@@ -155,7 +152,7 @@ def test_half_the_bias_of_a_noisy_vane_and_more_is_taken_off_and_without_noise_n
     assert np.all(np.abs(bias) < 0.05 * still.crb_corrected)
     rng, before, after = np.random.default_rng(1), [], []
     for _ in range(2):
-        noise = [VANE * rng.standard_normal(record.n) for record in exact]
+        noise = [np.radians(0.3) * rng.standard_normal(record.n) for record in exact]
         for sign in (1.0, -1.0):
             records = [
                 replace(record, channels={**record.channels, "alpha": record["alpha"] + sign * one})

@@ -66,7 +66,6 @@ def test_what_adds_to_coefficients_of_one_axis_acts_on_it(effect):
 
 
 TERMS = ["roll_damping", "sideslip_roll", "yaw_damping", "rudder_side_force", "pitch_damping"]
-
 LENGTHS = [  # of the card, and the defaults that they change
     ({}, set()), ({"rate_length": 1.5795}, {"Cmq"}), ({"lateral_rate_length": 21.5}, {"Clp", "Cnr"}),
     ({"lateral_rate_length": 43.0, "lateral_length": 10.75}, {"Clp", "Clbe", "Cnr"}),

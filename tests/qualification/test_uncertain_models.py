@@ -24,6 +24,8 @@ from bayes_aero.simulate.demo import TRUTH, simulate_stall
 FREE = {"az0": -9.8, "azde": 1.0}
 SD, COUNT, N = 0.5, 1000, 60
 ERROR = 4.0 * np.sqrt(0.25 / COUNT)  # four standard errors of a probability, at most
+DT, PHI = job.BLOCK_SECONDS, 0.9
+CERTAIN = 10**9
 
 
 @pytest.fixture(scope="module")
@@ -124,10 +126,6 @@ def test_verdicts_need_the_monte_carlo_error_and_the_record():
     assert verdict(one(400, within=0.99)) is ToleranceVerdict.UNDECIDED  # the record was outside
     assert verdict(one(400), one(2)) is ToleranceVerdict.FAILS
     assert one(20).chance.verdict is ToleranceVerdict.UNDECIDED
-
-
-DT, PHI = job.BLOCK_SECONDS, 0.9
-CERTAIN = 10**9
 
 
 def from_zero(rng, count, n, phi=PHI):

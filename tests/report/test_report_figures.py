@@ -28,6 +28,7 @@ from bayes_aero.report.style import NotDrawn, close
 SLOW = {"trace_emcee", "trace_nuts", "rank_emcee", "rank_nuts", "pair", "pit"}
 TWINS = ("fig6", "fig7", "fig8", "fig9", "trace_nuts", "rank_nuts")  # of another coefficient or sampler
 OF_LATERAL = {f"{kind}_{name}" for kind in ("validation", "correlation") for name in ("CY", "Cl", "Cn")}
+SIGMA = 0.005  # of the noise of the sample runs, which is white
 
 
 def complete(figure: Figure) -> None:
@@ -120,9 +121,6 @@ def test_predictions_follow_the_test_points_or_all_samples_and_lines_break_at_ga
     chord, arm = run.card.aircraft.chord, run.card.aircraft.tail_arm
     assert "gp" not in points
     assert np.allclose(points.mle, 0.2 + 4.0 * alpha + 0.8 * chord / arm * elevator)
-
-
-SIGMA = 0.005  # of the noise of the sample runs, which is white
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])

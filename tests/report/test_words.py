@@ -179,8 +179,6 @@ def test_a_change_is_reported_beside_the_verdict_and_is_no_cause(diagnosed):
     assert written["size"] == {"mean": 0.0060, "sd": 0.0005}
 
 
-PARAMETERS = [p for effect in CATALOGUE.values() for p in effect.parameters]
-
 LATERAL = {"Lbeta": -4.0, "Lda": -6.0, "Lp": -2.0, "Nbeta": 3.0, "Ndr": -1.7, "Nr": -0.5}
 
 
@@ -193,7 +191,7 @@ LATERAL = {"Lbeta": -4.0, "Lda": -6.0, "Lp": -2.0, "Nbeta": 3.0, "Ndr": -1.7, "N
     ({"Cmde": (0.01, 0.02), "CD0": (-0.001, 0.01), "Cmq": (0.5, 1.0)}, ()),  # not sure
 ])  # fmt: skip
 def test_signs_and_sizes_that_no_aircraft_has_are_reported(estimates, parts):
-    sentences = sign_sentences(estimates, PARAMETERS)
+    sentences = sign_sentences(estimates, [p for effect in CATALOGUE.values() for p in effect.parameters])
     assert len(sentences) == bool(parts)
     holds(" ".join(sentences), *parts)
 

@@ -72,10 +72,9 @@ def as_filed(card: Card, name: str, value: float) -> float:
     return 0.0 if abs(filed) < 1e-9 else float(f"{filed:.6g}")
 
 
-def shown(card: Card, name: str, value: float, *, size: bool = False) -> str:
-    """A value with the card's unit: "3.2 deg"; a size is without sign."""
-    filed = as_filed(card, name, value)
-    return f"{abs(filed) if size else filed:.4g} {declared(card, name).unit}".removesuffix(" 1")
+def shown(card: Card, name: str, value: float) -> str:
+    """A value with the card's unit: "3.2 deg"."""
+    return f"{as_filed(card, name, value):.4g} {declared(card, name).unit}".removesuffix(" 1")
 
 
 def span(record: FlightRecord, first: int, last: int) -> str:

@@ -27,13 +27,11 @@ SENSORS: Limits = (0.10, 0.06)  # a departure that no weather and no sensor make
 DAY: Limits = (0.30, 0.15)  # of the density that no weather makes at a pressure altitude (35 %, some 75 K)
 COLD: Limits = (0.15, 0.10)  # likewise, of the speed of sound at an altitude
 THRUST: Limits = (4.0, 2.5)  # of the largest thrust over a tenth of the weight: 50 times, and 12 times
+NOTHING = np.zeros(0)
 
 
 def _off(k: float, limits: Limits) -> bool:
     return bool(np.isfinite(k) and k > 0.0 and abs(np.log(k)) >= limits[0])
-
-
-NOTHING = np.zeros(0)
 
 
 def _middle(x: np.ndarray) -> float:

@@ -58,9 +58,7 @@ def _rows_of(ax: Axes, names: Sequence[str]) -> None:
 @style.housed
 def gain(view: View) -> Figure:
     """R2 and RMSE of each coefficient on data that were not fitted, along the chain of causes."""
-    causes = [c for c in view.diagnosis.causes if c.gain.before]
-    if not causes:
-        raise style.NotDrawn("no cause was added")
+    causes = style.needed([c for c in view.diagnosis.causes if c.gain.before], "no cause was added")
     links = [("card's model", COLOURS["before"], causes[0].gain.before)]
     for k, cause in enumerate(causes):
         if k and cause.stage != causes[k - 1].stage:

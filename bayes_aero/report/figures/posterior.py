@@ -35,6 +35,12 @@ RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows
 PAIR_DRAWS = 400  # per chain
 MOST_PAIRED = 6  # parameters of a figure that chooses them
 CHAIN_COLOURS = ["#0072B2", "#E69F00", "#009E73", "#CC79A7"]
+GREY = "#555555"  # of what has no colour of its own
+MARKERS = {"crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^"}
+CORRELATIONS = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
+CORRELATIONS |= {name: f"correlation_{name}" for name in LATERAL}
+
+WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
 
 
 def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
@@ -90,9 +96,7 @@ def _chains(identification: Identification, kind: str, engine: str) -> Figure:
 @style.housed
 def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
     """Scatter, by the first sampler, of the parameters that vary together the most, marginals on the diagonal."""
-    if not posteriors:
-        raise style.NotDrawn("this run has no posterior")
-    engine, posterior = next(iter(posteriors.items()))
+    engine, posterior = next(iter(style.needed(posteriors, "this run has no posterior").items()))
     names = posterior.most_correlated(MOST_PAIRED)
     if len(names) < 2:
         raise style.NotDrawn("a pair plot needs two parameters")
@@ -118,9 +122,7 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
 @style.housed
 def pit_histogram(identification: Identification) -> Figure:
     """A panel for each coefficient: density of the values, and the band of independent uniform ones."""
-    t = identification.pit
-    if t is None:
-        raise style.NotDrawn("no posterior was sampled")
+    t = style.needed(identification.pit, "no posterior was sampled")
     names = identification.observations.coefficients
     figure, axes = style.grid_of(len(names), 3, (3.0, 3.2), sharex=True, sharey=True)
     for ax, name, bars, r in zip(axes, names, t.bars, t.correlation, strict=True):
@@ -189,10 +191,6 @@ def hysteresis(identification: Identification) -> Figure:
     return figure
 
 
-GREY = "#555555"  # of what has no colour of its own
-MARKERS = {"crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^"}
-
-
 @style.housed
 def forest(identification: Identification) -> Figure:
     """Every parameter by every method, with 95 % intervals and numbers; one panel per parameter, in its own unit."""
@@ -256,12 +254,6 @@ def crb_vs_credible(identification: Identification) -> Figure:
     return figure
 
 
-CORRELATIONS = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
-CORRELATIONS |= {name: f"correlation_{name}" for name in LATERAL}
-
-WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
-
-
 def _densities(ax: Axes, prior: np.ndarray, posteriors: Mapping[str, tuple[str, np.ndarray]], *, log: bool) -> float:
     """Densities of draws (of their logarithms), posteriors by label with colour; the ratio of prior and posterior sd.
 
@@ -289,9 +281,7 @@ def _densities(ax: Axes, prior: np.ndarray, posteriors: Mapping[str, tuple[str, 
 @style.housed
 def prior_posterior(identification: Identification) -> Figure:
     """Prior and posterior density of every parameter; a panel spans the posterior and says how wide the prior is."""
-    chosen = chosen_posteriors(identification)
-    if not chosen:
-        raise style.NotDrawn("this run has no posterior")
+    chosen = style.needed(chosen_posteriors(identification), "this run has no posterior")
     shown = {label_of(key): (key, p) for key, p in chosen.items()}
     if "white" in identification.posteriors:
         shown["emcee, white noise"] = ("white", identification.posteriors["white"])
@@ -314,11 +304,9 @@ def prior_posterior(identification: Identification) -> Figure:
 @style.housed
 def gp_prior_posterior(identification: Identification) -> Figure:
     """Prior against posterior of every hyperparameter (log scale): a row each, a column per coefficient."""
-    if identification.gp is None:
-        raise style.NotDrawn("this run has no Gaussian process")
-    trees = {name: fit.posterior for name, fit in identification.gp.fits.items() if fit.posterior is not None}
-    if not trees:
-        raise style.NotDrawn("no Gaussian process has an accepted posterior of its hyperparameters")
+    gp = style.needed(identification.gp, "this run has no Gaussian process")
+    trees = {name: fit.posterior for name, fit in gp.fits.items() if fit.posterior is not None}
+    style.needed(trees, "no Gaussian process has an accepted posterior of its hyperparameters")
     draws = {
         name: (_hyperparameters(tree, "prior"), _hyperparameters(tree, "posterior")) for name, tree in trees.items()
     }
@@ -361,17 +349,15 @@ StallModel = tuple[str, str, Mapping[str, Any], "Stall"]
 
 def _of_run(run: Identification) -> tuple[list[StallModel], np.ndarray, float]:
     """The one model of a run, the manoeuvre of each sample, and the interval of samples."""
-    if run.stall is None:
-        raise style.NotDrawn("the stall was not computed: that needs a posterior that converged")
+    stall = style.needed(run.stall, "the stall was not computed: that needs a posterior that converged")
     o = run.observations
     flown = {"alpha": o.signals["alpha"], "alpha_dot": o.signals["alpha_dot"], "measured": o.measured}
-    return [("", COLOURS["mle"], flown | {"modelled": run.fitted}, run.stall)], o.manoeuvre, o.dt
+    return [("", COLOURS["mle"], flown | {"modelled": run.fitted}, stall)], o.manoeuvre, o.dt
 
 
 def _of_view(view: View) -> tuple[list[StallModel], np.ndarray, float]:
     """The same of the card's model and, where there is one, the extended one, with the sensors as it corrects them."""
-    if not view.stalls:
-        raise style.NotDrawn("the stall was not computed")
+    style.needed(view.stalls, "the stall was not computed")
     both = ("card", COLOURS["before"], view.card), ("extended", COLOURS["after"], view.extended)
     models = [(MODELS[key], colour, m.signals, view.stalls[key]) for key, colour, m in both if key in view.stalls]
     return models, view.manoeuvre, view.seconds
@@ -440,15 +426,11 @@ def _separation(models: Sequence[StallModel], *_: Any) -> Figure:
 
 FIGURES: dict[str, style.Drawing] = {
     "pair": lambda run: pair_of(chosen_posteriors(run)),
-    "pit": pit_histogram,
-    "fig5_stall_hysteresis": hysteresis,
-    "forest": forest,
-    "crb_vs_credible": crb_vs_credible,
-    "prior_posterior": prior_posterior,
-    "gp_prior_posterior": gp_prior_posterior,
+    "pit": pit_histogram, "fig5_stall_hysteresis": hysteresis, "forest": forest, "crb_vs_credible": crb_vs_credible,
+    "prior_posterior": prior_posterior, "gp_prior_posterior": gp_prior_posterior,
     "stall": style.housed(lambda run: _stall(*_of_run(run))),
     "separation": style.housed(lambda run: _separation(*_of_run(run))),
-}
+}  # fmt: skip
 FIGURES |= {stem: style.housed(partial(_correlation, name=name)) for name, stem in CORRELATIONS.items()}
 for kind, engine in product(("trace", "rank"), ("emcee", "nuts")):
     FIGURES[f"{kind}_{engine}"] = style.housed(partial(_chains, kind=kind, engine=engine))

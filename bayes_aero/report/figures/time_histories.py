@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
 HISTORY = ("alpha", "theta", "q", "elevator", "ax", "az", "airspeed", "altitude", "mach", "thrust")
 BAND = 1.96  # standard deviations
+MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "buffet": "buffet [CL of separated flow]"}
+KNOWN = 0.3  # largest standard error, of the value, with which a measured response is shown
+DECIBEL = 20.0 / math.log(10.0)  # of a relative change
+MOST_RESPONSES = 8
 
 
 def drawn(columns: Sequence[tuple[str, np.ndarray, Sequence[Panel]]], title: str) -> Figure:
@@ -56,8 +60,7 @@ def draw_panel(ax: Axes, time: np.ndarray, panel: Panel) -> None:
     if panel.band is not None:
         ax.fill_between(t, values[0] - panel.band, values[0] + panel.band, color="#dddddd", lw=0.0, label="tolerance")
     for first, second in panel.shade:
-        colour = panel.lines[second].colour
-        ax.fill_between(t, values[first], values[second], color=colour, alpha=0.3, lw=0.0)
+        ax.fill_between(t, values[first], values[second], color=panel.lines[second].colour, alpha=0.3, lw=0.0)
     for line, y in zip(panel.lines, values, strict=True):
         ax.plot(t, y, color=line.colour, ls=line.style, lw=0.75 * line.width, label=line.label)
     ax.margins(x=0.01)
@@ -136,8 +139,7 @@ def _over_time(identification: Identification, title: str, names: Sequence[str],
 @style.housed
 def gpr_fit(identification: Identification) -> Figure:
     """The Gaussian process's coefficients over the measured ones, with its 95 % predictive band."""
-    if identification.gp is None:
-        raise style.NotDrawn("this run has no Gaussian process")
+    style.needed(identification.gp, "this run has no Gaussian process")
     names = identification.observations.coefficients
     return _over_time(identification, f"Gaussian-process regression of {', '.join(names)}", names, errors=False)
 
@@ -154,15 +156,12 @@ for name, stem in VALIDATIONS.items():
 
 @style.housed
 def hold_out(view: View) -> Figure:
-    flown = view.trajectories
-    if flown is None:
-        raise style.NotDrawn("nothing was simulated")
+    flown = style.needed(view.trajectories, "nothing was simulated")
     units, columns = {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, []
     for name in dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == "hold_out"):
         paths = {label: p for model, label in MODELS.items() if (p := flown.path(name, model, "hold_out"))}
         columns.append((name, next(iter(paths.values())).time, output_panels(paths, units)))
-    if not columns:
-        raise style.NotDrawn("no manoeuvre is held out")
+    style.needed(columns, "no manoeuvre is held out")
     return drawn(columns, "Simulated from the measured initial state, with parameters fitted without this flight")
 
 
@@ -180,15 +179,10 @@ def _simulated(output: str, flown: TrajectoryFit) -> Figure:
     return drawn(columns, "Measured and simulated: with the first values, and with parameters and initial state fitted")
 
 
-MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "buffet": "buffet [CL of separated flow]"}
-
-
 @style.housed
 def gusts(disturbed: ProcessNoise) -> Figure:
     """Estimated gusts with their bands: a row for each manoeuvre, a column for each gust."""
-    histories = disturbed.histories
-    if not histories:
-        raise style.NotDrawn("no gust has an intensity")
+    histories = style.needed(disturbed.histories, "no gust has an intensity")
     style.refuse_many(len(histories))
     names, rows = list(histories[0].gusts), len(histories)
     figure, axes = style.panels(rows, len(names), (4.2 * len(names) + 1.2, 1.9 * rows + 0.9), sharey="col")
@@ -202,11 +196,6 @@ def gusts(disturbed: ProcessNoise) -> Figure:
             ax.axhline(0.0, color="#999999", lw=0.6)
     figure.suptitle("Estimated gusts, with 95 % bands", fontsize=10.0)
     return figure
-
-
-KNOWN = 0.3  # largest standard error, of the value, with which a measured response is shown
-DECIBEL = 20.0 / math.log(10.0)  # of a relative change
-MOST_RESPONSES = 8
 
 
 @style.housed

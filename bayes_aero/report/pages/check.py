@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from bayes_aero.jobs.preparing import Starter
 
 MAX_PARTS = 12  # of a file in a sentence; the JSON has all
+MOST_PANELS = 16
 CHANNELS = (
     "airspeed", "altitude", "alpha", "theta", "q", "az", "ax", "elevator", "stabilizer", "thrust", "beta", "phi",
 )  # fmt: skip
@@ -162,9 +163,6 @@ def _channels(report: CheckReport) -> list[Any]:
         remarks += [f"In the file, not on the card: {', '.join(columns)}."] if columns else []
         tables.append(fold(r.path, channel_table(r), [*remarks, *r.remarks]))
     return [*tables, card_sentences(report)]
-
-
-MOST_PANELS = 16
 
 
 def card_page(starter: Starter, record: str, card: str, source: Mapping[str, Any]) -> Report:

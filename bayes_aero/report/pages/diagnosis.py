@@ -62,6 +62,12 @@ if TYPE_CHECKING:
 
 SHOWN = 4  # other terms that are named
 SEEN = 0.005  # change of R² that two digits show
+FROM_WHAT = {
+    "coefficients": "",
+    "trajectories": ", from trajectories alone: the record has no coefficients",
+    "innovations": ", from innovations: process noise and gusts are estimated",
+}
+FEW = 4  # manoeuvres that are listed one by one in the open
 
 
 def sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
@@ -374,7 +380,7 @@ def causes_table(d: Diagnosis) -> Table:
         column(lambda c: list(c.parameters), "parameter"),
         column(_sizes, page="size"),
         each(lambda s: Estimate(s.mean, s.sd, *s.ci95), ("mean", "sd", "ci95_low", "ci95_high")),
-        each(_interval, page="95 % interval"),
+        each(lambda s: from_to(*(for_people(s.unit)[1] * x for x in (*s.ci95, s.sd))), page="95 % interval"),
         each(lambda s: s.unit, "unit"),
         column(lambda c: c.probability, "probability", "probability", form=probability),
         column(lambda c: c.p_value, "p_value", "p", form=2),
@@ -391,11 +397,6 @@ def causes_table(d: Diagnosis) -> Table:
 def _sizes(c: Cause) -> list[str]:
     texts = {name: size_text(s.mean, s.sd, s.unit).replace("c/V", "chords") for name, s in c.parameters.items()}
     return [f"{name} {text}" if len(texts) > 1 else text for name, text in texts.items()]
-
-
-def _interval(s: Any) -> str:
-    factor = for_people(s.unit)[1]
-    return from_to(factor * s.ci95[0], factor * s.ci95[1], factor * s.sd)
 
 
 def probability(value: float) -> str:
@@ -536,14 +537,6 @@ def residual_table(view: View) -> Table:
         *(column(lambda n, x=x: n["calibration"][x], page=f"{100.0 * float(x):.0f} %", **inside) for x in levels),
     ]
     return table("residuals", columns)
-
-
-FROM_WHAT = {
-    "coefficients": "",
-    "trajectories": ", from trajectories alone: the record has no coefficients",
-    "innovations": ", from innovations: process noise and gusts are estimated",
-}
-FEW = 4  # manoeuvres that are listed one by one in the open
 
 
 def diagnosis_page(view: DiagnosisView, context: parts.PageContext) -> Report:

@@ -230,6 +230,9 @@ def _truth(run: Identification) -> list[str]:
 
 LITTLE = 0.6  # share of its prior's deviation above which the scatter is called the prior's: our choice
 MOST = 6  # parameters that are named one by one
+LEAK = 0.02  # a correlation that falls by more from the random split to another one was leaked; our choice
+NOTABLE = 0.001  # a difference of correlations not worth a sentence below; our choice
+SPLITS = {"random": "the random split", "block": "hold-out blocks", "manoeuvre": "a hold-out manoeuvre"}
 
 
 def between_manoeuvres(run: Identification) -> list[str]:
@@ -282,11 +285,6 @@ def next_flight_sentences(run: Identification) -> list[str]:
     return sentences + doubt
 
 
-LEAK = 0.02  # a correlation that falls by more from the random split to another one was leaked; our choice
-NOTABLE = 0.001  # a difference of correlations not worth a sentence below; our choice
-SPLITS = {"random": "the random split", "block": "hold-out blocks", "manoeuvre": "a hold-out manoeuvre"}
-
-
 def split_verdict(run: Identification) -> list[str]:
     """Correlations by split, the leak of the random one, and hyperparameters that could not be sampled."""
     report = run.gp
@@ -319,6 +317,8 @@ def split_verdict(run: Identification) -> list[str]:
 # --- Contradicted priors, estimates at their bounds or impossible, and inseparable parameters.
 
 MIN_ERRORS = 3.0  # standard errors from zero from which a sign is wrong
+MEANS = 0.2  # difference of means, in standard deviations, up to which samplers agree; our choice
+SDS = 0.15  # relative difference of standard deviations up to which samplers agree; our choice
 
 
 def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
@@ -374,10 +374,6 @@ def _beyond(limit: float, value: float, deviation: float, side: float) -> bool:
     """Whether a value is beyond the limit on that side, significantly or by more than twice the limit."""
     margin = MIN_ERRORS * deviation if math.isfinite(deviation) else 0.0
     return bool(side * (value - limit) > (min(margin, 2.0 * abs(limit)) if limit else margin))
-
-
-MEANS = 0.2  # difference of means, in standard deviations, up to which samplers agree; our choice
-SDS = 0.15  # relative difference of standard deviations up to which samplers agree; our choice
 
 
 def unfinished(posteriors: Mapping[str, Posterior]) -> list[str]:

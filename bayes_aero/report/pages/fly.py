@@ -42,6 +42,12 @@ MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence
 MOST_ERRORS = 4  # outputs of which the screen gives the errors
 CORRECTED, WHITE = "output error ± corrected", "process noise ± white"  # kinds of standard error
 MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
+MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
+MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
+QUANTITIES = {
+    "period": "period, s", "damping_ratio": "damping ratio", "time_constant": "time constant, s",
+    "time_to_half": "time to half, s", "time_to_double": "time to double, s",
+}  # fmt: skip
 
 
 def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool = False) -> list[str]:
@@ -87,8 +93,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
 def fly_screen(result: Flight, card: Card, records: Sequence[FlightRecord]) -> Screen:
     """Errors before and after the fit, every parameter with its corrected standard error, and what is doubtful."""
     flown, fit, beside = result.flown, result.flown.fit, result.process_noise
-    sensors = None if flown.of_path else result.consistency
-    record, mend = parts.record_block(records, result.health, sensors)
+    record, mend = parts.record_block(records, result.health, None if flown.of_path else result.consistency)
     filtered = beside is not None and beside.converged
     units = [plain_unit(p.unit) for p in fit.parameters]
     fitted = list(map(Estimate, map(float, fit.estimate), map(float, fit.sd_corrected)))
@@ -105,12 +110,9 @@ def fly_screen(result: Flight, card: Card, records: Sequence[FlightRecord]) -> S
     errors = {n: amounts(flown.units[n], *pair) for n, pair in flown.rms_errors.items()}
     listed = [f"{symbol(n)} {before} → {after}{unit}" for n, (before, after, unit) in errors.items()]
     more = f" and {len(listed) - MOST_ERRORS} more" if len(listed) > MOST_ERRORS else ""
-    shown: list[str | Table] = [sentence("flown_fit", status=status)]
-    if flown.converged:
-        shown += [sentence("flown_errors", listed=f"{', '.join(listed[:MOST_ERRORS])}{more}")]
-    else:
-        shown += [sentence("not_converged")]
-    shown += [Table(columns)]
+    few = sentence("flown_errors", listed=f"{', '.join(listed[:MOST_ERRORS])}{more}")
+    ended = few if flown.converged else sentence("not_converged")
+    shown = [sentence("flown_fit", status=status), ended, Table(columns)]
     messages = doubts_of(result.sentences)
     then = "next_diagnose" if flown.by_effects else "next_qualify"
     steps = [*mend, *actions(messages)]
@@ -157,10 +159,6 @@ def motion_sentences(motion: Motion | None) -> list[str]:
     sentences = [f"Modes of motion are not given: {motion.why_not}."] if motion.why_not else []
     undecided = [mode.name for mode in motion.modes if not mode.quantities]
     return sentences + ([sentence("rate_undecided", names=undecided)] if undecided else [])
-
-
-MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
-MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
 
 
 def parameter_table(flown: TrajectoryFit) -> Table:
@@ -232,15 +230,6 @@ def initial_table(flown: TrajectoryFit) -> Table:
     if free:
         columns.append(Column([f * departure for (*_, departure), f in by_factor], page="departure", form="+.2g"))
     return table("initial_fitted" if free else "initial_fixed", columns, below=[row[0] for row in rows])
-
-
-QUANTITIES = {
-    "period": "period, s",
-    "damping_ratio": "damping ratio",
-    "time_constant": "time constant, s",
-    "time_to_half": "time to half, s",
-    "time_to_double": "time to double, s",
-}
 
 
 def mode_table(motion: Motion) -> Table:

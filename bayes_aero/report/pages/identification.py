@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 ONE_BY_ONE = 4  # manoeuvres that are shown; files have more
 ML = "maximum likelihood\n± standard error"
 SAMPLED = "posterior\nmean ± standard deviation, 95 % interval"
+PARTS = ("", "sd", "ci95_low", "ci95_high")
 
 
 def parameter_table(run: Identification) -> Table:
@@ -161,9 +162,6 @@ def sampler_table(run: Identification, key: str) -> Table:
     ]
     about = {"engine": label_of(posterior.engine), "noise": label_of(posterior.noise)}
     return table("sampler", columns, **about, status=posterior.status.value, divergent=divergent)
-
-
-PARTS = ("", "sd", "ci95_low", "ci95_high")
 
 
 def next_flight_table(run: Identification) -> Table:

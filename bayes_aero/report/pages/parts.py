@@ -37,6 +37,14 @@ if TYPE_CHECKING:
 DEG = 180.0 / np.pi
 
 SHOWN = 4  # departures in the sentence
+GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
+LATERAL_GLANCE = (
+    "airspeed", "alpha", "beta", "altitude", "elevator", "aileron", "aileron_right", "rudder", "p", "q", "r",
+)  # fmt: skip
+MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
+CONTEXT = ("alpha", "elevator", "stabilizer", "q", "thrust", "airspeed")
+SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
+MOST_PLACES = 6  # digits behind the point
 
 
 def consistency_sentences(sensors: Consistency, *, corrects: bool) -> list[str]:
@@ -183,12 +191,6 @@ class PageContext(NamedTuple):
     result: Any  # with `notes`, `consistency`, `failures`, `health`, and what its page shows
 
 
-GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
-LATERAL_GLANCE = (
-    "airspeed", "alpha", "beta", "altitude", "elevator", "aileron", "aileron_right", "rudder", "p", "q", "r",
-)  # fmt: skip
-
-
 def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Any, ...]:
     """Manoeuvres and recorded channels: the main ones are those of most flights, or of a linear card's rows."""
     names = LATERAL_GLANCE if Axis.LATERAL in card.axes else GLANCE
@@ -243,11 +245,6 @@ def terms(table: str) -> Fold | None:
     return fold("Terms used here", Facts(tuple(WORDS[table].items())))
 
 
-MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
-CONTEXT = ("alpha", "elevator", "stabilizer", "q", "thrust", "airspeed")
-SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
-
-
 def context_panels(channels: Mapping[str, Any], mine: np.ndarray, *, lateral: bool) -> list[Panel]:
     """Low panels of measured channels (SI) that moved in the samples `mine`, below those of outputs."""
     recorded = {n: np.asarray(channels[n], float)[mine] for n in (SIX_CONTEXT if lateral else CONTEXT) if n in channels}
@@ -273,9 +270,6 @@ def flights(
     shown = [(name, f"time-{key}-{k}", *drawn(k, name)) for k, name in enumerate(names[:MOST_SHOWN])]
     more = f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown." if len(names) > MOST_SHOWN else ""
     return [more, *(histories(*each, what) for each in shown)]
-
-
-MOST_PLACES = 6  # digits behind the point
 
 
 def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:

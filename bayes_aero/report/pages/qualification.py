@@ -20,12 +20,11 @@ if TYPE_CHECKING:
     from bayes_aero.qualification import Chance, Further, OpenTolerance, Outside, Qualification, Strip
 
 RANGES = {
-    "alpha": ("deg", parts.DEG, "{:.0f}"),
-    "airspeed": ("m/s", 1.0, "{:.0f}"),
-    "load_factor": ("g", 1.0, "{:.2f}"),
+    "alpha": ("deg", parts.DEG, "{:.0f}"), "airspeed": ("m/s", 1.0, "{:.0f}"), "load_factor": ("g", 1.0, "{:.2f}"),
     "altitude_loss": ("m", 1.0, "{:.0f}"),  # of which people read the greatest alone
-}
+}  # fmt: skip
 """Unit, factor to it and digits of the ranges that a test point needs."""
+MOST = 6  # tests that are named in a sentence
 
 
 def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
@@ -80,9 +79,6 @@ def points_sentences(test_points: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(sentences) if test_points["stated"] else (*sentences, sentence("no_envelope"))
 
 
-MOST = 6  # tests that are named in a sentence
-
-
 def further_table(further: Further) -> Table:
     columns = point_columns([asdict(p) for p in further.points])
     for k, test in ((k, test) for k, test in enumerate(further.tests) if test.decidable):
@@ -117,6 +113,8 @@ def _label(test: OpenTolerance) -> str:
 SHOWN = {"AGAIN": "fitted, flown again", "TEST": "not fitted", "NEXT": "next flight"}
 NEGLIGIBLE = 1e-3  # of an excess, in the units of people
 COUNTED = ("parameters", "structure", "gusts")
+BLANK = "\u00a0" * 30
+FLIGHTS, ORIGIN = "#56B4E9", "Origin of the tolerances"
 
 
 def band(output: str, tolerance: float) -> str:
@@ -183,8 +181,7 @@ def test_table(q: Qualification) -> Table:
         column(lambda t: t.chance.verdict.value, "verdict", "verdict"),
         column(lambda t: "yes" if t.manoeuvre in away else "no", "extrapolation", "extra-\npolation"),
     ]
-    below = [f"{t.manoeuvre}, {SHOWN[t.kind.name]}" for t in rows]
-    return table("tests", columns, index=3, below=below)
+    return table("tests", columns, index=3, below=[f"{t.manoeuvre}, {SHOWN[t.kind.name]}" for t in rows])
 
 
 def _excess(o: Outside) -> str:
@@ -222,10 +219,6 @@ def region_sentences(q: Qualification) -> list[str]:
     texts = [sentence("outside_region", o=o, excess=_excess(o)) for o in q.outside]
     texts = texts or [sentence("inside_region", channels=q.channels)]
     return texts + ([sentence("region_unjudged", channels=q.unjudged)] if q.unjudged else [])
-
-
-BLANK = "\u00a0" * 30
-FLIGHTS, ORIGIN = "#56B4E9", "Origin of the tolerances"
 
 
 def qualification_page(q: Qualification, card: Card, source: Mapping[str, Any]) -> Report:

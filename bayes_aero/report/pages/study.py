@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from bayes_aero.report.page import Block, Facts, Report, picture, section
 from bayes_aero.report.phrases import bracket, for_people, plain_unit, sentence, several
 from bayes_aero.report.plots import COLOURS
-from bayes_aero.report.style import NotDrawn, grid_of, housed, save
+from bayes_aero.report.style import NotDrawn, grid_of, housed, needed, save
 from bayes_aero.report.table import columns_of, table
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
@@ -198,9 +198,8 @@ def panels_of(estimated: list[AcrossUnits]) -> Iterator[tuple[str, list[AcrossUn
 
 @housed
 def across(estimated: list[AcrossUnits]) -> Figure:
-    groups = [group for group in panels_of(estimated) if group[1]][:MOST_PANELS]
-    if not groups:
-        raise NotDrawn("no unit has an estimate")
+    every = needed([group for group in panels_of(estimated) if group[1]], "no unit has an estimate")
+    groups = every[:MOST_PANELS]
     figure, axes = grid_of(len(groups), 3, (3.6, 2.3))
     last = max(int(e.rows["number"].max()) for _, group in groups for e in group)
     labels = {}

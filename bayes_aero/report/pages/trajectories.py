@@ -38,6 +38,10 @@ if TYPE_CHECKING:
 
 MOST_OUTPUTS = 3  # whose errors are in the sentence on the gain
 SI = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
+SPLITS = {
+    "hold_out": "Hold-out: simulated from the measured initial state with the fit to the other flights",
+    "fitted": "Fitted: parameters and initial states fitted to all flights",
+}
 
 
 def simulation_gain(flown: Trajectories) -> str:
@@ -161,12 +165,6 @@ def hold_out_table(flown: Trajectories) -> Table:
         flights[f"{m}, {split.replace('_', '-')}"] = [flown.path(m, model, split) for model in MODELS]
     status = "".join(f" {text}" for text in status_sentences(flown))
     return error_table("hold_out_errors", flights, SI, ("before", "after"), status=status)
-
-
-SPLITS = {
-    "hold_out": "Hold-out: simulated from the measured initial state with the fit to the other flights",
-    "fitted": "Fitted: parameters and initial states fitted to all flights",
-}
 
 
 def trajectories(flown: Trajectories, card: Card) -> list[Any]:
@@ -342,11 +340,8 @@ def one_step_table(predictions: OneStep, units: Mapping[str, str]) -> Table:
         Column([Estimate(*p.ratio) for p in every], "", "e/sd"),
     ]
     for k, share in enumerate(predictions.together.shares):
-        inside, head = (
-            [Estimate(100.0 * p.shares[k].share, 100.0 * p.shares[k].sd) for p in every],
-            f"{100.0 * share.level:.0f} %",
-        )
-        columns.append(Column(inside, "", head, group="inside the interval, %"))
+        inside = [Estimate(100.0 * p.shares[k].share, 100.0 * p.shares[k].sd) for p in every]
+        columns.append(Column(inside, "", f"{100.0 * share.level:.0f} %", group="inside the interval, %"))
     kinds = [p.calibration.value.replace("_", " ") for p in every]
     return table("one_step", [*columns, Column(kinds, "", "predictions")])
 
