@@ -146,7 +146,6 @@ SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # response
 SEPARATES = 0.9  # X below which a flight tells what acts in separated flow alone; our choice
 DEGREES = 4  # columns of a polynomial of the angle of attack; our choice
 SAME = 0.999  # squared cosine of what an effect and a term do to a coefficient, beyond which they are one; our choice
-ALIKE = 0.9  # the same of a term of the past, which is a derivative in other words; our choice
 BYTES = 2e9  # of memory that inner products may take
 
 
@@ -376,6 +375,7 @@ class FoundComponent:
 
 PERIOD = (0.6, 30.0)  # s, the shortest and the longest
 FINER = 8  # frequencies between two of the scan, from which the best is taken
+SCANNED = 2e7  # values of a sinusoid that memory holds at a time
 
 
 def frequencies(state: SelectionState) -> Float[np.ndarray, " f"]:
@@ -438,13 +438,19 @@ class WaveScan:
         return Component(self.coefficient, f"time, period {1.0 / hertz:.3g} s", basis, True)
 
 
+def scans(state: SelectionState, fit: RegressionFit, coefficient: str) -> Iterator[WaveScan]:
+    """Of all frequencies, as many at a time as memory allows."""
+    hertz, size = frequencies(state), max(1, int(SCANNED / state.residual.size))
+    for begin in range(0, len(hertz), size):
+        yield WaveScan(state, fit, coefficient, hertz[begin : begin + size])
+
+
 def waves(state: SelectionState, coefficients: Sequence[str]) -> list[Component]:
     """The sinusoid in each coefficient that explains most of what a state leaves."""
-    hertz, found = frequencies(state), list[Component]()
-    for name in coefficients if len(hertz) else ():
-        residual = state.left()[None]
-        best = hertz[np.argmax(WaveScan(state, state.best, name, hertz).shares(residual))]
-        step = hertz[1] - hertz[0] if len(hertz) > 1 else 0.0
+    hertz, residual, found = frequencies(state), state.left()[None], list[Component]()
+    for name in coefficients if len(hertz) > 1 else ():
+        shares = np.concatenate([scan.shares(residual)[0] for scan in scans(state, state.best, name)])
+        best, step = hertz[np.argmax(shares)], hertz[1] - hertz[0]
         finer = WaveScan(state, state.best, name, np.linspace(max(best - step, hertz[0]), best + step, 2 * FINER + 1))
         found.append(finer.component(float(finer.hertz[np.argmax(finer.shares(residual))])))
     return found
@@ -463,8 +469,8 @@ def sought_waves(state: SelectionState, chosen: Sequence[Component], seed: int) 
             held, rng = whole.fit(held=trial.fit.variance), np.random.default_rng(seed)
             white = screening.white_noise(state.settings.unnamed_replicates, folds, len(state.outputs), rng)
             noises = screening.noise_records(whole, held, colour, white)
-            scans = [WaveScan(whole, held, name, frequencies(state)) for name in state.outputs]
-            p = screening.chance_of(trial.share, np.max([scan.shares(noises).max(axis=1) for scan in scans], axis=0))
+            every = (scan for name in state.outputs for scan in scans(whole, held, name))
+            p = screening.chance_of(trial.share, np.max([scan.shares(noises).max(axis=1) for scan in every], axis=0))
             if p <= state.settings.unnamed_false_alarm_rate:
                 yield FoundComponent(state, trial.state.components[0], trial.share, p)
 

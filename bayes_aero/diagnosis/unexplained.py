@@ -651,17 +651,15 @@ def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]
 
 
 def _is_smooth(term: ProductTerm) -> bool:
-    """Whether it is a function of the state of motion and its past: separated flow is none."""
-    return shapes.SEPARATED not in term.factors
+    """Whether it is a function of the state of motion: memory and separated flow are none."""
+    return all(f.code is not None and f is not shapes.SEPARATED for f in term.factors)
 
 
-def _other_forms(
-    state: SelectionState, effects: Sequence[str], components: Sequence[Component], most: float = shapes.SAME
-) -> list[Component]:
-    """The components that are no additions `effects` in other words: that make no more than `most` of them."""
+def _other_forms(state: SelectionState, effects: Sequence[str], components: Sequence[Component]) -> list[Component]:
+    """The components that are no additions `effects` in other words."""
     by_coefficient = {c.coefficient: [x for x in components if x.coefficient == c.coefficient] for c in components}
     groups = [(group, shapes.imitated(state, effects, group)) for group in by_coefficient.values()]
-    return [c for group, made in groups for c, share in zip(group, made, strict=True) if share <= most]
+    return [c for group, made in groups for c, share in zip(group, made, strict=True) if share <= shapes.SAME]
 
 
 def _beside(
@@ -670,11 +668,8 @@ def _beside(
     """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
     terms = list(chosen)
     for name in reached:
-        smooth, other = [c for c in columns_of(state, name) if _is_smooth(c.term)], list[Component]()
-        for past, most in ((False, shapes.SAME), (True, shapes.ALIKE)):  # a short lag is a derivative in other words
-            own = [c.component for c in smooth if (c.term.code is None) == past]
-            other += _other_forms(full, effects, own, most)
-        columns = [c for c in smooth if any(c.component is x for x in other)]
+        smooth = {c.component.label: c for c in columns_of(state, name) if _is_smooth(c.term)}
+        columns = [smooth[c.label] for c in _other_forms(full, effects, [c.component for c in smooth.values()])]
         for _ in range(state.settings.terms_most if columns else 0):
             best, explained = leader(state, [columns], [f.column for f in terms])
             if explained <= best.cost:
