@@ -1,10 +1,11 @@
 """Hide a lateral effect, or a wing that stalls first, in flights in six degrees of freedom, and diagnose.
 
-    python benchmarks/lateral_effects.py effects 120 [--first 0] [--silent] [--out lateral]
+    python benchmarks/lateral_effects.py effects 120 [--first 0] [--silent] [--gusts 1] [--out lateral]
     python benchmarks/lateral_effects.py wing 18 [--first 0] [--silent] [--only stall] [--out lateral]
 
 Aircraft are drawn at random and flown by `tests/stranger_six.py`, which shares no code with the package, at 25 Hz with
-white noise. The card has the true model but for one thing. `--silent`: those with nothing hidden alone.
+white noise. The card has the true model but for one thing. `--silent`: those with nothing hidden alone. `--gusts`:
+their deviation along each body axis, m/s; the comparison is then that of the default.
 
 `effects`: elevator, aileron and rudder, each twice. Of four flights one has nothing hidden, one something of `UNKNOWN`,
 which no effect of the catalogue makes, and two an effect of `HIDDEN`: an aerodynamic one that is left off the card, or
@@ -107,7 +108,7 @@ def made(cls: type, plane: Plane, **more: Any) -> Any:
     return cls(**{name: getattr(plane, name) for name in Plane.__dataclass_fields__}, **more)
 
 
-def effects(seed: int) -> Row:
+def effects(seed: int, gusts: float = 0.0) -> Row:
     """Draw, fly, record and diagnose."""
     rng, name = np.random.default_rng([seed, 21]), hides("effects", seed)
     plane = drawn(rng, **ATTACHED, Cnbbb=-1.5 * rng.uniform(0.7, 1.3) if name == "sideslip_cubed_yaw" else 0.0)
@@ -118,16 +119,17 @@ def effects(seed: int) -> Row:
         field, usual = AIRCRAFT[name]
         size = float(rng.choice([-1.0, 1.0]) * usual * rng.uniform(0.5, 1.5))
         plane = replace(plane, **{field: size})
-    flights = [fly(plane, kind, rng) for kind in 2 * ONCE]
+    flights = [fly(plane, kind, rng, gust=gusts) for kind in 2 * ONCE]
     if name in SENSORS:
         channel, usual, kind = SENSORS[name]
         size = usual * rng.uniform(0.8, 1.2)
         flights = [{**flight, channel: _wrong(flight[channel], kind, size, 0.04)} for flight in flights]
     records = [record(f"{ONCE[i % 3]}_{i}", flight, rng) for i, flight in enumerate(flights)]
     card = card_of(plane, tuple(e for e in (*LONGITUDINAL, *LATERAL) if e != name))
-    _, row = studies.diagnosed(records, card, seed, process_noise=False)
+    found, row = studies.diagnosed(records, card, seed, process_noise=None if gusts else False)
     hidden = {name: {CATALOGUE[name].parameters[0].name: size}} if name in HIDDEN else {}
-    return {"seed": seed, "hidden": hidden, "unknown": name if name in UNKNOWN else None, **row}
+    scores = studies.standard_scores(found, hidden)
+    return {"seed": seed, "hidden": hidden, "unknown": name if name in UNKNOWN else None, "scores": scores, **row}
 
 
 def report_effects(rows: list[Row]) -> None:
@@ -203,10 +205,10 @@ def report_wing(rows: list[Row]) -> None:
 if __name__ == "__main__":
     parser = studies.parser_of(__doc__, "lateral", ("effects", "wing"))
     parser.add_argument("--silent", action="store_true")
+    parser.add_argument("--gusts", type=float, default=0.0, help="their deviation, m/s; of `effects`")
     parser.add_argument("--only", nargs="+", choices=tuple(FLOWN), default=tuple(FLOWN))
     given = parser.parse_args()
     chosen = [seed for seed in studies.seeds_of(given) if not (given.silent and hides(given.what, seed))]
-    case, report = (
-        (effects, report_effects) if given.what == "effects" else (partial(wing, only=given.only), report_wing)
-    )
+    of_effects = partial(effects, gusts=given.gusts), report_effects
+    case, report = of_effects if given.what == "effects" else (partial(wing, only=given.only), report_wing)
     report(studies.resumed(given.out / f"{given.what}.jsonl", {seed: partial(case, seed) for seed in chosen}))
