@@ -325,7 +325,8 @@ class FlightPathError(Blockwise):
     @cached_property
     def _on_record(self) -> tuple[Effect, ...]:
         acting = (e for e in self.model.acting if e.stage in RECORD_STAGES)
-        return tuple(e for e in acting if e.stage is Stage.AIRCRAFT or {*PATH_NEEDS} & {*e.example.increments})
+        shown = ((e, {*e.example.increments}) for e in acting)  # what it changes, where its example tells
+        return tuple(e for e, x in shown if e.stage is Stage.AIRCRAFT or not x or x & {*PATH_NEEDS})
 
     def _computed(self, theta: Theta) -> Residual:
         f, values = self.flights, self.model.values(theta)

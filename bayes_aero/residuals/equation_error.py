@@ -30,7 +30,7 @@ from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import LiftRegression, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
-from bayes_aero.physics.kinematics import ANGLES, LATERAL, PATH
+from bayes_aero.physics.kinematics import ANGLES, LATERAL, PATH, as_symmetric
 from bayes_aero.processes import compiled_at
 from bayes_aero.residuals import base
 from bayes_aero.units import number
@@ -182,7 +182,8 @@ def _residuals(padded: _Padded, theta):
     modelled, X = _modelled(model, values, signals, aircraft)
     columns = [(measured - modelled) * factors]
     if responses.path:
-        angles = jnp.stack([signals[name] for name in ANGLES], axis=1)  # in a loop, or each use computes them anew
+        whole = as_symmetric(signals)
+        angles = jnp.stack([whole[name] for name in ANGLES], axis=1)  # in a loop, or each use computes them anew
         sines = jax.lax.map(lambda x: jnp.stack([jnp.sin(x), jnp.cos(x)], axis=1).ravel(), angles)
         columns.append(base.differences(responses.path, signals, aircraft, scales, tuple(sines.T)))
     residual = _smoothed(f, jnp.concatenate(columns, axis=1))

@@ -33,6 +33,7 @@ from bayes_aero.report.pages.diagnosis import sentences
 from bayes_aero.report.pages.estimates import verdict
 from bayes_aero.report.pages.parts import consistency_sentences, open_sentences
 from bayes_aero.residuals.base import FlightPathError
+from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import hidden_records
 
@@ -183,6 +184,19 @@ def test_a_record_is_in_gusts_whatever_moves_the_aircraft(seed):
     assert sensors.in_gusts([calm], card) == {}
     (size,) = sensors.in_gusts([light], card).values()
     assert 0.4 < size < 1.4
+
+
+def test_a_record_without_the_lateral_motion_is_one_with_zeros_of_it():
+    """In coefficients and along the flight path, residuals and sensitivities."""
+    card, flight = read_card("hfb320"), gusty_flight(1, gust={"w": 0.0, "u": 0.0}, seconds=20.0)
+    model, still = Model.from_card(card), dict.fromkeys(("beta", "phi", "p", "r"), np.zeros(len(flight.time)))
+    flights = join([flight], card), join([replace(flight, channels={**flight.channels, **still})], card)
+    bare, whole = (EquationError.of(x, model) for x in flights)
+    theta, shared = np.array([p.start for p in model.free]), [n for n in bare.outputs if n in whole.outputs]
+    assert {"CL", "CD", "Cm", "airspeed", "alpha", "theta"} <= {*shared}
+    np.testing.assert_allclose(bare.residuals(theta, shared), whole.residuals(theta, shared), atol=1e-9)
+    S = [x.linearise(theta)[1][:, [x.outputs.index(n) for n in shared]] for x in (bare, whole)]
+    np.testing.assert_allclose(*S, atol=1e-9)
 
 
 def test_rough_air_that_all_air_data_show_contradicts_no_sensor_and_a_wrong_airspeed_does():
