@@ -10,17 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41889,
+    "bayes_aero: lines": 41892,
     "bayes_aero: files": 130,
     "bayes_aero: private helpers used once": 229,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 21767,
+    "tests: lines": 21773,
     "tests: files": 85,
-    "benchmarks: lines": 4491,
+    "benchmarks: lines": 4493,
     "benchmarks: files": 25,
-    "benchmarks/README.md: lines": 247,
+    "benchmarks/README.md: lines": 249,
     "CHANGELOG.md: lines": 150,
-    "docs: words": 24884,
+    "docs: words": 24880,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

@@ -1,6 +1,7 @@
 """Whether sensors agree and what their errors are, and what kinematics, despiking and filters make of records."""
 
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -204,10 +205,8 @@ def test_rough_air_that_all_air_data_show_contradicts_no_sensor_and_a_wrong_airs
     card, rough = read_card("hfb320"), gusty_flight(3, gust={"w": 1.8, "u": 1.8})
     wrong = changed(rough, airspeed=rough["airspeed"] + 30.0 * np.sin(rough.time / 6.0))
     tolerances = {name: tolerance.value for name, tolerance in card.tolerances.items()}
-
-    def beyond(record, **air):
-        return {d.channel for d in sensors.consistency([record], card, seek=False, **air).beyond(tolerances)}
-
+    check = partial(sensors.consistency, card=card, seek=False)
+    beyond = lambda record, **air: {d.channel for d in check([record], **air).beyond(tolerances)}
     assert beyond(rough)
     assert not beyond(rough, turbulence=np.inf)
     assert "airspeed" in beyond(wrong, turbulence=np.inf)

@@ -227,18 +227,12 @@ def test_the_leader_explains_as_much_as_a_regression_says_and_is_nothing_that_a_
     assert explained == pytest.approx(0.5 * more[label] / max(term.inflation, 1.0), rel=1e-9)
 
 
-def weighed(state, *columns):
-    """What is given (m, c, k), and the residual that is left, divided by the deviations of the fit: (m c, k)."""
-    both = np.concatenate([*columns, state.left()[:, :, None]], axis=2) / np.sqrt(state.best.variance)[:, None]
-    return np.split(both.reshape(-1, both.shape[2]), [both.shape[2] - 1], axis=1)
-
-
 def test_a_wave_explains_what_a_regression_on_its_sine_and_cosine_says(calm):
     scan = WaveScan(calm, calm.best, "Cm", np.array([0.11, 0.34]))
     shares, B = scan.shares(calm.left()[None])[0], calm.scaled[:, :, calm.best.columns]
     for hertz, share in zip(scan.hertz, shares, strict=True):
-        wave = scan.component(hertz).basis / calm.noise_growth[:, :, None]
-        A, left = weighed(calm, B, wave)
+        A = np.concatenate([B, scan.component(hertz).basis, calm.left()[:, :, None]], axis=2)
+        A, left = np.split((A / np.sqrt(calm.best.variance)[:, None]).reshape(-1, A.shape[2]), [-1], axis=1)
         normal, k = A.T @ A, B.shape[2]
         normal[:k, :k] = calm.best.normal  # with the priors of the parameters
         right = A.T @ left
@@ -249,9 +243,8 @@ def test_a_wave_explains_what_a_regression_on_its_sine_and_cosine_says(calm):
 def test_a_form_is_the_effect_itself_as_far_as_it_makes_what_the_effect_makes(calm):
     (name,) = (e.name for e in calm.full.model.effects if "Cmq" in calm.full.parameters_of(e.name))
     own, deviation = calm.full.own_columns(name), np.std(calm.residual, axis=0)[:, None]
-    slopes = calm.S[:, :, own]
+    slopes, reached = calm.S[:, :, own], np.any(calm.S[:, :, own] != 0.0, axis=(0, 2))
     columns = [c for c in columns_of(calm, "Cm") if c.term.name not in ("alpha", "elevator")][:6]  # Cma, Cmde
-    reached = np.any(slopes != 0.0, axis=(0, 2))
     shares = imitated(calm, [name], [Component("Cm", "itself", slopes), *(c.component for c in columns)])
     beside = calm.S[:, :, [c for c in calm.columns() if c < len(calm.theta) and c not in own]]
     for share, basis in zip(shares, [slopes, *(c.component.basis for c in columns)], strict=True):
