@@ -517,8 +517,11 @@ class _Model:
         state = _without(self.state, [name], self.state.apart)
         reached = _reached(state, self.state, ())
         terms = tuple(_beside(state, reached, self.terms, [name], self.state))
-        curves = [curve for coefficient in reached for curve in shapes.polynomials(state, coefficient)]
-        curves = _other_forms(self.state, [name], curves)
+        aerodynamic = any(e.name == name and e.kind is Kind.AERODYNAMICS for e in state.full.candidates)
+        itself, curves = shapes.term_of(self.state, name) if aerodynamic else None, list[Component]()
+        if itself is None or not _is_smooth(itself.term):  # polynomials would explain what is not asked of a term
+            curves = [curve for coefficient in reached for curve in shapes.polynomials(state, coefficient)]
+            curves = _other_forms(self.state, [name], curves)
         return _Model(state, terms, self.functions).curved(curves, shapes.waves(state, reached))
 
 
