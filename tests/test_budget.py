@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41895,
+    "bayes_aero: lines": 41902,
     "bayes_aero: files": 130,
     "bayes_aero: private helpers used once": 229,
     "bayes_aero: class names with several meanings": 0,
@@ -20,7 +20,7 @@ LIMITS = {
     "benchmarks: files": 25,
     "benchmarks/README.md: lines": 249,
     "CHANGELOG.md: lines": 150,
-    "docs: words": 24880,
+    "docs: words": 24884,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

@@ -415,8 +415,8 @@ class WaveScan:
             return np.concatenate([np.sin(phase), np.cos(phase)])
 
         state = self.state
-        added, deviation = state.responses.added(state.theta), np.std(state.residual / state.noise_growth, axis=0)
-        _, slopes, scale = added.columns(self.coefficient, made, state.outputs, deviation)
+        deviation = np.std(state.residual / state.noise_growth, axis=0)
+        _, slopes, scale = state.added.columns(self.coefficient, made, state.outputs, deviation)
         shown = slopes / np.maximum(scale, 1e-300)[:, None, None]
         return np.moveaxis(shown.reshape(2, len(hertz), *shown.shape[1:]), 0, 3)
 

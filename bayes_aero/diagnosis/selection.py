@@ -233,7 +233,7 @@ def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
     else:
         bounds = np.array([state.full.model.free[i].bounds for i in at])
         theta[at] = np.clip(theta[at] + np.array(winner.step), bounds[:, 0], bounds[:, 1])
-    trials = [state.theta + share * (theta - state.theta) for share in (1.0, 0.5, 0.2, 0.05, 0.0)]
+    trials = [state.theta + share * (theta - state.theta) for share in (1.0, 0.5, 0.2, 0.05)]
     able = (x for x in trials if np.all(np.abs(state.responses.residuals(x, state.outputs)) < selection_state.LARGEST))
     return moved(state, next(able, state.theta), (*state.active, winner.effect))
 

@@ -59,7 +59,7 @@ class DiagnosisSettings:
     candidates_tried: int = 8  # leaders considered in one selection
     candidates_refitted: int = 3  # leaders that are fitted and judged by the block jackknife
     least_share: float = 0.04  # of a coefficient's remaining variance: imperfect regressors imitate less
-    least_share_white: float = 0.01  # the same of innovations, whose regressors the filter has smoothed
+    least_share_white: float = 0.01  # the same of innovations; our choice, of which silent flights in gusts need none
     least_share_correlated: float = 0.3  # of its gain that an effect must keep when noise of coefficients may correlate
     exchange_margin: float = 0.02  # of a candidate's gain by which another must exceed it to take its place
     decisive: float = 3.0  # nats by which one of two extensions must be the better

@@ -517,9 +517,8 @@ class _Model:
         state = _without(self.state, [name], self.state.apart)
         reached = _reached(state, self.state, ())
         terms = tuple(_beside(state, reached, self.terms, [name], self.state))
-        aerodynamic = any(e.name == name and e.kind is Kind.AERODYNAMICS for e in state.full.candidates)
-        itself, curves = shapes.term_of(self.state, name) if aerodynamic else None, list[Component]()
-        if itself is None or not _is_smooth(itself.term):  # polynomials would explain what is not asked of a term
+        curves = list[Component]()
+        if _as_term(self.state, name) is None:  # polynomials would explain what is not asked of a term
             curves = [curve for coefficient in reached for curve in shapes.polynomials(state, coefficient)]
             curves = _other_forms(self.state, [name], curves)
         return _Model(state, terms, self.functions).curved(curves, shapes.waves(state, reached))
@@ -585,9 +584,7 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
     # and differ between manoeuvres, as offsets do. So terms are sought without all of them; then everything is in, and
     # what does not earn its cost goes out, the least useful first.
     state, causes = extension.state, extension.causes
-    aerodynamic = {e.name for e in state.full.candidates if e.kind is Kind.AERODYNAMICS}
-    columns = {name: shapes.term_of(state, name) for name in causes if name in aerodynamic}
-    named = {name: c.component for name, c in columns.items() if c is not None and _is_smooth(c.term)}
+    named = {name: component for name in causes if (component := _as_term(state, name)) is not None}
     rest = [name for name in causes if name not in named]
     if not (causes or state.apart):
         return Forms((), ())
@@ -651,6 +648,13 @@ def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]
     more = float(state.products.count.sum()) * np.log(bare.best.variance / state.best.variance)
     lacking = [nats(x, state.variance_inflation) > state.settings.ambiguous for x in more]
     return [n for n, lacks in zip(state.outputs, lacking, strict=True) if lacks or n in shown or n in state.apart]
+
+
+def _as_term(state: SelectionState, cause: str) -> Component | None:
+    """The smooth term of one coefficient that an effect of the aerodynamics is, by another name."""
+    aerodynamic = any(e.name == cause and e.kind is Kind.AERODYNAMICS for e in state.full.candidates)
+    column = shapes.term_of(state, cause) if aerodynamic else None
+    return column.component if column is not None and _is_smooth(column.term) else None
 
 
 def _is_smooth(term: ProductTerm) -> bool:

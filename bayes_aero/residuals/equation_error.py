@@ -304,6 +304,9 @@ class FrequencyError(InBand, EquationError):
 
     rows: tuple[Float[np.ndarray, "_ _"], ...]
 
+    def added(self, theta: base.Theta) -> _AddedToEquations:
+        raise NotImplementedError  # terms are sought in time
+
     @classmethod
     def in_band(cls, flights: Flights, model: Model, band: Band) -> FrequencyError:
         """`flights` under `model`, in `band` (Hz)."""
