@@ -14,7 +14,7 @@ from bayes_aero.cli.fits import open as open_page
 from bayes_aero.cli.preparing import card, check, effects, simulate, warm
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError, refuse_gone
 from bayes_aero.errors import DefectError, InputError, plain_line
-from bayes_aero.processes import enable_cache
+from bayes_aero.processes import enable_cache, keep_freed_memory
 
 TRACEBACK = "BAYES_AERO_TRACEBACK"
 """Set in the environment, an unexpected failure shows where in the program it happened."""
@@ -65,6 +65,7 @@ def main() -> None:
         sys.exit(code)
 
     enable_cache()
+    keep_freed_memory()
     try:
         refuse_gone(sys.argv[1:])
         app(prog_name=app.info.name)

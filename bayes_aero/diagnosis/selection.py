@@ -513,13 +513,10 @@ def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
     covariance = inverse(fit.normal)[np.isin(fit.columns, additions)]
     S, weight = state.scaled[state.inside][:, :, fit.columns], 1.0 / fit.variance
     channels, noise = state.responses.flights.channels, state.responses.noise
-    plain = state.responses.residuals(state.theta, state.outputs)
 
     def made(name: str) -> tuple[np.ndarray, np.ndarray]:
         """What noise of one channel adds to the outputs' variances, and its bias of the additions."""
         noisy = state.responses.with_channels(channels | {name: channels[name] + noise[name]})
-        if np.array_equal(noisy.residuals(state.theta, state.outputs), plain):
-            return np.zeros(len(keep)), np.zeros(len(covariance))
         residual, slopes = noisy.linearise(state.theta, at)
         dr = ((residual[:, keep] - state.residual) / state.noise_growth)[state.inside]
         dS = (slopes[:, keep] / state.noise_growth[:, :, None])[state.inside] - S[:, :, parameters]
