@@ -183,7 +183,7 @@ class Search:
         fit = self._inside(fit_output_error(brief, max_iterations=START_STEPS))
         full = without_lags(selection_state.candidate_model(self.model, flights, self.extra, self.settings))
         begin = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
-        status = PredictionErrorStatus.CONVERGED
+        status, known = PredictionErrorStatus.CONVERGED, dict[Any, Any]()  # fits that are asked for again
 
         def select(barred: tuple[str, ...]) -> Extension:
             """One addition after the other; after each, gusts and noise are estimated anew."""
@@ -193,7 +193,10 @@ class Search:
             first: Extension | None = None
             while True:
                 self.progress("process noise", 0.0)
-                state, filtered = filtered_state(full, base, flights, fit.R, values, active, filtered)
+                key = active, full.vector(values).tobytes()
+                if key not in known:
+                    known[key] = filtered_state(full, base, flights, fit.R, values, active, filtered)
+                state, filtered = known[key]
                 state = selection_state.moved(state, state.theta, apart=apart)
                 room = 0 if unreliable else min(1, self.settings.max_effects - len(active))
                 seed = self.seed + len(active)
@@ -372,13 +375,11 @@ def filtered_state(
     before: PredictionErrorResult | None,
 ) -> tuple[SelectionState, PredictionErrorResult]:
     """The filter's fit with these additions, from the one `before`, and the problem there; `R`: of output error."""
-    names = full.model.names
+    # All candidates are in, held at neutral until they are added: so all fits share compiled programs.
     out = {p.name for e in full.model.effects if e.name not in (*full.base, *active) for p in e.parameters}
-    held = tuple((name, full.neutral[name]) for name in names if name in out)
-    dynamics = replace(base, model=replace(full.model, fixed=(*full.model.fixed, *held)))
-    start = np.array([values[name] for name in names if name not in out])
+    dynamics, start = replace(base, model=full.model), full.vector({n: x for n, x in values.items() if n not in out})
     whole = segments(flights, dynamics, substeps=dynamics.substeps(start, flights))
-    gusty, filtered = fit_disturbed(whole, start, R, exact=False, similar=before)
+    gusty, filtered = fit_disturbed(whole, start, R, similar=before, held=out)
     if filtered.status is PredictionErrorStatus.DIVERGED:
         raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
     # The gusts' parameters are no candidate's, so that they stay what the filter found of them.
@@ -386,8 +387,7 @@ def filtered_state(
     gusts = [e for e in gusty_dynamics.model.effects if e.disturbance is not None and e not in full.model.effects]
     full = replace(full, model=full.model.extended(*gusts))
     theta = full.vector(dict(zip(filtered.names, filtered.estimate, strict=True)))
-    dynamics = replace(base, model=full.model)
-    responses = FilterError.after(gusty, filtered.estimate, filtered.R, filtered.found, dynamics)
+    responses = FilterError.after(gusty, filtered.estimate, filtered.R, filtered.found, replace(base, model=full.model))
     return selection_state.linearised(full, responses, responses.outputs, theta, active), filtered
 
 

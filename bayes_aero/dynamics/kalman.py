@@ -22,15 +22,17 @@ from jaxtyping import Array, Bool, Float
 
 from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepare
 from bayes_aero.dynamics.system import (
+    MIDDLE,
     Row,
     System,
     advance,
+    advance_linearised,
     between,
     later,
-    linear_step,
+    middles,
     motion,
     stage_points,
-    stage_table,
+    step_series,
 )
 from bayes_aero.processes import compiled_at
 
@@ -54,11 +56,14 @@ def discrete_noise(transition: Square, density: PerState, dt: Any) -> Square:
     """Discrete process-noise covariance (s, s): white noise of spectral `density` (s,) over a sample of `dt` seconds.
     The integral of Phi(t) W Phi(t)' by Simpson's rule, with the square root of the transition at mid-sample. It is
     exact to the third power of dt, the order at which a gust changes the pitch rate within a sample."""
-    identity = jnp.eye(len(density))
+    return dt / 6.0 * sum(weight * (X * density) @ X.T for weight, X in _simpson(transition))
+
+
+def _simpson(transition: Float[Array, "*n s s"]) -> list[tuple[float, Array]]:
+    identity = jnp.eye(transition.shape[-1])
     change = transition - identity
     half = identity + 0.5 * change - 0.125 * change @ change
-    whole = (transition * density) @ transition.T + 4.0 * (half * density) @ half.T
-    return dt / 6.0 * (whole + identity * density)
+    return [(1.0, transition), (4.0, half), (1.0, identity)]
 
 
 def _each_sample(f: Callable[..., Any]) -> Callable[..., Any]:
@@ -190,8 +195,7 @@ def kalman_filter(
 
     def motion(x, row):
         now, then, _ = row
-        ahead = value_and_slope(lambda x: advance(system, x, now, then, rows.dt, substeps), x)
-        return *ahead, F**2 + system.noise_density(x, now)
+        return *advance_linearised(system, x, now, then, rows.dt, substeps), F**2 + system.noise_density(x, now)
 
     by_sample = (rows.now, rows.then, rows.measured), rows.variance, jnp.isfinite(rows.measured)
     found = jax.lax.scan(_recursion(outputs, motion, rows.dt), (rows.begin, rows.covariance), by_sample)[1]
@@ -260,12 +264,12 @@ def smooth(filtered: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s
     return jnp.concatenate([x, last[0][None]]), jnp.concatenate([P, last[1][None]])
 
 
-# --- Innovations of the linearised filter, and their derivatives by process and measurement noise.
-# Products of small matrices along a path whose motion is linearised already.
+# --- Derivatives of the innovations along a filtered path, at whose states everything is linear.
+# Source: Gupta and Mehra, IEEE Trans. Automatic Control 19 (1974) 774.
 
 
 class Disturbances(NamedTuple):
-    """Noise of linearised segments."""
+    """Noise of linearised segments, or its derivatives in the directions of a further axis."""
 
     density: States  # spectral, by state
     variance: Float[Array, "w n c"]  # of the outputs
@@ -285,71 +289,60 @@ def disturbances_along(
     return Disturbances(F**2 + density, noise, begin, decay)
 
 
-def linear_innovations(
-    lin: LinearisedFilter, noise: Disturbances, dt: Float[Array, " w"]
-) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c"], Filtered]:
-    """Innovations, their derivatives in d directions at constant gains; variances. Missing: 0 and 1. Recorded units.
-    Also the filter, whose states and innovations, SI, have their derivatives in further columns."""
+def scores_along(
+    path: Filtered, lin: LinearisedFilter, noise: Disturbances, slopes: Disturbances, dt: Float[Array, " w"]
+) -> tuple[Float[Array, " j"], Float[Array, "j j"]]:
+    """Gradient of minus the log likelihood and expected information, in the directions of `lin`, in which the gains are
+    held, then in those of the noise, `slopes`. By the innovations of all outputs of a sample together."""
 
-    def of_segment(lin, noise, dt):
-        begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1), noise.begin
-        return jax.lax.scan(_linear_recursion(dt), begin, _by_sample(lin, noise))[1]
+    def at_sample(P, C, R, used):
+        gain, _, whitening, S = correct(P, C, jnp.eye(len(C)), R, used)
+        return gain, whitening / jnp.sqrt(S)[:, None]
 
-    found = jax.vmap(of_segment)(lin, noise, dt)
-    e, slopes = found.innovation[..., :1], found.innovation[..., 1:]
-    slopes = slopes - e * lin.scale_drive / lin.scale[..., None]
-    S = jnp.where(found.used, found.variance / lin.scale**2, 1.0)
-    return jnp.concatenate([e, slopes], axis=-1) / lin.scale[..., None], S, found
+    gain, white = _each_sample(at_sample)(path.predicted_covariance, lin.matrix, noise.variance, path.used)
+    C, ahead_gain, step = lin.matrix, path.transition @ gain, dt[:, None, None, None]
+    e = jnp.where(path.used, lin.residual, 0.0)
+    u = jnp.einsum("wnij,wnj->wni", white, e)
+    v = jnp.einsum("wnji,wnj->wni", white, u)  # the innovations times their inverse covariance
+    decayed = -step * jnp.exp(-step * noise.decay[..., None]) * slopes.decay
+    turned = decayed[..., :, None, :] * (path.covariance @ jnp.swapaxes(path.transition, -1, -2))[..., None]
+    of_density = sum(weight * _diagonal(X, slopes.density) for weight, X in _simpson(path.transition))
+    grown = step[..., None] / 6.0 * of_density + _diagonal(ahead_gain, slopes.variance)
+    grown += turned + jnp.swapaxes(turned, 2, 3)
+    shifted = decayed * path.state[..., None] - ahead_gain @ (slopes.variance * v[..., None])
+    rows = path.transition - ahead_gain @ C, grown, shifted, jnp.einsum("wncs,wnc->wns", C, v)
 
+    def of_noise(carry, row):
+        (dx, dP), (A, grown, shifted, w) = carry, row
+        ahead = A @ dx + A @ jnp.einsum("ijm,j->im", dP, w) + shifted
+        return (ahead, _congruent(A, dP) + grown), carry
 
-def _by_sample(lin: LinearisedFilter, noise: Disturbances) -> Any:
-    """Rows of a segment for `_linear_recursion`; what is of the initial state is replaced by what is of samples."""
-    lin = lin._replace(begin=lin.before, begin_drive=lin.before)
-    return (lin, noise._replace(begin=noise.density)), noise.variance, jnp.isfinite(lin.residual)
-
-
-def _linear_recursion(dt: Any) -> Callable[[tuple[Array, Square], Any], Any]:
-    """The step along a path. The motion of states that are random processes is their decay."""
-
-    def outputs(x, row):
-        lin, _ = row
-        residual = jnp.concatenate([lin.residual[:, None], -lin.direct], axis=1)
-        return residual - lin.matrix @ x.at[:, 0].add(-lin.before), lin.matrix
-
-    def motion(x, row):
-        lin, noise = row
-        autonomous, decayed = noise.decay > 0.0, jnp.exp(-noise.decay * dt)
-        Phi = jnp.where((jnp.eye(len(x)) > 0.0) & autonomous, jnp.diag(decayed), lin.transition)
-        ahead = jnp.where(autonomous, decayed * lin.after, lin.ahead)
-        ahead = jnp.concatenate([ahead[:, None], lin.drive], axis=1)
-        return ahead + Phi @ x.at[:, 0].add(-lin.after), Phi, noise.density
-
-    return _recursion(outputs, motion, dt)
+    begin = jnp.zeros((*slopes.begin.shape[:2], slopes.begin.shape[-1]))
+    of_segment = jax.vmap(lambda dx, dP, rows: jax.lax.scan(of_noise, (dx, dP), rows)[1])
+    dx, dP = of_segment(begin, slopes.begin, rows)
+    B = _congruent(white @ C, dP) + _diagonal(white, slopes.variance)  # of the whitened innovations' covariance
+    de = observer_derivatives(lin, Observer(gain, white)) - e[..., None] * lin.scale_drive / lin.scale[..., None]
+    a = white @ jnp.concatenate([de, -C @ dx], axis=-1)
+    d, flat, B = de.shape[-1], a.reshape(-1, a.shape[-1]), B.reshape(-1, B.shape[-1])
+    without = jnp.eye(u.shape[-1]) - u[..., :, None] * u[..., None, :]
+    gradient = (flat.T @ u.ravel()).at[d:].add(0.5 * without.ravel() @ B)
+    return gradient, (flat.T @ flat).at[d:, d:].add(0.5 * B.T @ B)
 
 
-def noise_derivatives(
-    lin: LinearisedFilter, noise: Disturbances, slopes: Disturbances, dt: Float[Array, " w"], filtered: Filtered
-) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c m"]]:
-    """Derivatives of innovations and variances by the noise in m directions, along a held path; recorded units.
-    `filtered`: of `linear_innovations`. The derivatives of the steps are computed for all samples at once."""
-    moved = ("begin_drive", "drive", "direct", "scale_drive")
-    lin = lin._replace(**{name: getattr(lin, name)[..., :0] for name in moved})  # without directions of parameters
+# Sums over few states are written out: XLA makes quicker code of them than of products of thousands of small matrices.
 
-    def of_segment(lin, noise, slopes, dt, x, P):
-        def step(lin, x, P, noise):
-            ahead, sample = _linear_recursion(dt)((x, P), ((lin, noise), noise.variance, jnp.isfinite(lin.residual)))
-            return ahead, (sample.innovation[:, 0], sample.variance)
 
-        (by_sample, noise), *_ = _by_sample(lin, noise)
-        slope = lambda lin, *at: jax.linearize(partial(step, lin), *at)[1]  # noqa: E731
-        rows = jax.vmap(slope)(by_sample, x, P, noise), slopes._replace(begin=slopes.density)
-        begin = jnp.zeros((*x.shape[1:], slopes.begin.shape[-1])), slopes.begin
-        return jax.lax.scan(lambda d, row: jax.vmap(row[0], -1, -1)(*d, row[1]), begin, rows)[1]
+def _congruent(X: Float[Array, "*n i s"], P: Float[Array, "*n s s m"]) -> Float[Array, "*n i i m"]:
+    """X P X' of symmetric P in m directions."""
+    half = (X @ P.reshape(*P.shape[:-2], -1)).reshape(*X.shape, P.shape[-1])
+    return sum(half[..., :, None, j, :] * X[..., None, :, j, None] for j in range(X.shape[-1]))
 
-    path = filtered.predicted[..., :1], filtered.predicted_covariance
-    de, dS = jax.vmap(of_segment)(lin, noise, slopes, dt, *path)
-    used, unit = filtered.used[..., None], lin.scale[..., None]
-    return jnp.where(used, de / unit, 0.0), jnp.where(used, dS / unit**2, 0.0)
+
+def _diagonal(X: Float[Array, "*n i c"], d: Float[Array, "*n c m"]) -> Float[Array, "*n i i m"]:
+    """X diag(d) X' in m directions."""
+    return sum(
+        (X[..., :, None, j] * X[..., None, :, j])[..., None] * d[..., None, None, j, :] for j in range(X.shape[-1])
+    )
 
 
 # --- Filter linearised along its own path: derivatives of all samples at once, then products of small matrices.
@@ -361,15 +354,11 @@ def noise_derivatives(
 class LinearisedFilter(NamedTuple):
     """Segments linearised along a path, with derivatives in d directions of the parameters."""
 
-    before: States  # the correction: outputs are linearised here,
-    after: States  # and the motion here
-    ahead: States  # one sample after `after`
     transition: Float[Array, "w n s s"]
     drive: Float[Array, "w n s d"]
     residual: Float[Array, "w n c"]  # measured minus outputs at `before`, NaN where missing
     matrix: Float[Array, "w n c s"]
     direct: Float[Array, "w n c d"]
-    begin: Float[Array, "w s"]
     begin_drive: Float[Array, "w s d"]
     scale: Float[Array, "w n c"]  # derivative of the corrected outputs by the recorded ones
     scale_drive: Float[Array, "w n c d"]
@@ -380,8 +369,8 @@ class StateDerivatives(NamedTuple):
 
     matrix: Float[Array, "w n c s"]
     transition: Float[Array, "w n s s"]  # of the next state
-    points: Float[Array, "m w n s"]  # states at the m Runge-Kutta stages,
-    motion: Float[Array, "m w n s s"]  # and the derivatives of the motion there
+    points: Float[Array, "m w n s"]  # states in the middle of each of m steps,
+    motion: Float[Array, "m w n s s"]  # and the derivatives of the motion there, times the step
     ahead: States  # the next state
 
 
@@ -391,14 +380,16 @@ def state_derivatives(flown: SegmentTrajectories, theta: Theta, before: States, 
     unit = jnp.eye(before.shape[-1])
     then = later(prepared.drives, flown.held)
     points, ahead = stage_points(prepared.sensed, after, prepared.drives, then, jnp.asarray(flown.dt), flown.substeps)
-    now = _at_stages(flown, prepared.drives)
+    points, now = points[MIDDLE], _in_the_middle(flown, prepared.drives)
 
     def slopes(f):
         return lambda x, u: jax.vmap(jax.linearize(lambda x: f(prepared.sensed, x, u), x)[1], out_axes=-1)(unit)
 
     matrix = _each_sample(slopes(partial(outputs_at, names=flown.outputs)))(before, prepared.drives)
-    rates = jax.lax.map(lambda row: _each_sample(slopes(_rate))(*row), (points, now))
-    transition = linear_step(rates, jnp.zeros_like(rates), jnp.broadcast_to(unit, rates.shape[1:]), _step(flown))
+    rates = _step(flown) * jax.lax.map(lambda row: _each_sample(slopes(_rate))(*row), (points, now))
+    transition = unit
+    for A in rates:
+        transition = step_series(A)[0] @ transition
     return StateDerivatives(matrix, transition, points, rates, ahead)
 
 
@@ -420,7 +411,7 @@ def linearise(
         numbers = eqx.filter(prepared.sensed, eqx.is_inexact_array)
         return flown.only_inside(prepared.true), prepared.initial_states, prepared.scale, numbers, prepared.drives
 
-    (true, begin, scale, *_), (true_drive, begin_drive, scale_drive, of_system, of_drives) = jax.vmap(
+    (true, _, scale, *_), (true_drive, begin_drive, scale_drive, of_system, of_drives) = jax.vmap(
         lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1)
     )(directions)
 
@@ -435,14 +426,13 @@ def linearise(
 
     outputs = partial(outputs_at, names=flown.outputs)
     direct = drives(outputs)(before, at.drives, of_drives)
-    stages = (_at_stages(flown, y) for y in (at.drives, of_drives))
-    rates = jax.lax.map(lambda row: drives(_rate)(*row), (known.points, *stages))
-    drive = linear_step(known.motion, rates, jnp.zeros(rates.shape[1:]), _step(flown))
+    middle = (_in_the_middle(flown, y) for y in (at.drives, of_drives))
+    drive = _driven(known.motion, _step(flown) * jax.lax.map(lambda row: drives(_rate)(*row), (known.points, *middle)))
     modelled = _each_sample(partial(outputs, at.sensed))(before, at.drives)
     finite = lambda y: jnp.where(jnp.isfinite(y), y, 0.0)  # noqa: E731
     matrix, direct = finite(known.matrix), finite(direct - true_drive)
-    rows = (before, after, known.ahead, known.transition, drive, true - modelled, matrix, direct)
-    return LinearisedFilter(*rows, begin, begin_drive, scale, scale_drive)
+    rows = (known.transition, drive, true - modelled, matrix, direct)
+    return LinearisedFilter(*rows, begin_drive, scale, scale_drive)
 
 
 def _step(flown: SegmentTrajectories) -> Float[Array, "w 1 1 1"]:
@@ -453,9 +443,18 @@ def _rate(system: System, x: Array, u: Row) -> Array:
     return motion(system, x, u)[0]
 
 
-def _at_stages(flown: SegmentTrajectories, drives: dict[str, Array]) -> dict[str, Array]:
+def _in_the_middle(flown: SegmentTrajectories, drives: dict[str, Array]) -> dict[str, Array]:
     then = later(drives, flown.held, axis=1)
-    return jax.vmap(lambda share: between(drives, then, share))(stage_table(flown.substeps)[0])
+    return jax.vmap(lambda share: between(drives, then, share))(middles(flown.substeps))
+
+
+def _driven(motion: Float[Array, "m w n s s"], rates: Float[Array, "m w n s d"]) -> Float[Array, "w n s d"]:
+    """What changes `rates` (times the step) of the motion make of the state a sample later."""
+    drive = jnp.zeros(rates.shape[1:])
+    for A, b in zip(motion, rates, strict=True):
+        transition, integral = step_series(A)
+        drive = transition @ drive + integral @ b
+    return drive
 
 
 # --- An observer: the filter with its gains held while parameters vary.
@@ -547,7 +546,7 @@ def derivatives_by_input(
     """In this direction of inputs: derivatives of the next state of `known` by their values now and a sample later, and
     of the outputs at the states `before`."""
     prepared = prepare(flown, theta)
-    now = _at_stages(flown, prepared.drives)
+    now = _in_the_middle(flown, prepared.drives)
 
     def slope(f):
         def of_input(x, u):
@@ -557,10 +556,10 @@ def derivatives_by_input(
         return _each_sample(of_input)
 
     direct = slope(partial(outputs_at, names=flown.outputs))(before, prepared.drives)
-    rates = jax.lax.map(lambda row: slope(_rate)(*row), (known.points, now))
-    share = stage_table(flown.substeps)[0] * (not flown.held)
+    rates = _step(flown)[..., 0] * jax.lax.map(lambda row: slope(_rate)(*row), (known.points, now))
+    share = middles(flown.substeps) * (not flown.held)
     both = jnp.stack([1.0 - share, share], axis=-1)[:, None, None, None]
-    ahead = linear_step(known.motion, rates[..., None] * both, jnp.zeros((*before.shape, 2)), _step(flown))
+    ahead = _driven(known.motion, rates[..., None] * both)
     return ahead, jnp.where(jnp.isfinite(direct), direct, 0.0)
 
 

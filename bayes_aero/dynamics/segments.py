@@ -19,6 +19,7 @@ from bayes_aero.dynamics.system import LateOutputs, System, Trajectory, integrat
 from bayes_aero.errors import InputError
 from bayes_aero.model.records import Flights, cuts_of, shared_length
 from bayes_aero.physics.filters import advance
+from bayes_aero.processes import cores
 
 START_SECONDS = 0.5  # s; the measured initial state is that of a straight line fitted to this time
 
@@ -121,6 +122,12 @@ def segments(
     return SegmentTrajectories(
         flights, index, inside, np.array(dts), steady, dynamics, chosen, begin, substeps, starts, held
     )
+
+
+def rows_by_core(count: int) -> list[Int[np.ndarray, " r"]]:
+    """Rows of equal parts of segments, one a core, for XLA runs a scan on one; the last row may be repeated."""
+    size = -(-count // min(count, cores()))
+    return [np.minimum(np.arange(begin, begin + size), count - 1) for begin in range(0, count, size)]
 
 
 class Prepared(NamedTuple):

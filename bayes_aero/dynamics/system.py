@@ -109,6 +109,26 @@ def advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int)
     return _stages(system, x, now, then, dt, substeps, lambda *_: None)[0]
 
 
+def advance_linearised(
+    system: System, x: Float[Array, " s"], now: Row, then: Row, dt: Any, substeps: int
+) -> tuple[Float[Array, " s"], Float[Array, "s s"]]:
+    """The state a sample later, and its derivative by the state from one Jacobian in the middle of each step. It is off
+    by the third power of the step where the Jacobian changes along it, and takes a third of the time of all stages."""
+    ahead, points = _stages(system, x, now, then, dt, substeps, lambda point, _: point)
+    transition = unit = jnp.eye(len(x))
+    for point, share in zip(points[MIDDLE], middles(substeps), strict=True):
+        slope = jax.linearize(lambda x, u=between(now, then, share): motion(system, x, u)[0], point)[1]
+        transition = step_series(dt / substeps * jax.vmap(slope, out_axes=-1)(unit))[0] @ transition
+    return ahead, transition
+
+
+def step_series(A: Float[Array, "*n s s"]) -> tuple[Array, Array]:
+    """exp(A), and the integral of exp(A t) over t from 0 to 1, to the order of Runge-Kutta in a linear system."""
+    unit, square = jnp.eye(A.shape[-1]), A @ A
+    cube = A @ square
+    return unit + A + 0.5 * square + cube / 6.0 + square @ square / 24.0, unit + 0.5 * A + square / 6.0 + cube / 24.0
+
+
 def _stages(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int, read: Any) -> tuple[Array, Any]:
     """The state one sample later, and `read` of the state and the outputs at every stage. The stages are a loop, so
     that the motion is compiled only once."""
@@ -168,7 +188,14 @@ def _flight_jvp(primals, tangents, *, dt, substeps, outputs, held):
 
 NODES, AHEAD, WEIGHTS = (0.0, 0.5, 0.5, 1.0), (0.5, 0.5, 1.0, 0.0), (1.0, 2.0, 2.0, 1.0)  # the four stages of a step
 
+MIDDLE = slice(2, None, len(NODES))  # among the stages, the second estimate of the middle of each step
+
 Channels = Mapping[str, Any]
+
+
+def middles(substeps: int) -> Float[Array, " m"]:
+    """Shares of the sample time in the middle of each step."""
+    return stage_table(substeps)[0][MIDDLE]
 
 
 def later(inputs: Channels, held: bool = False, axis: int = -1) -> dict[str, Array]:

@@ -22,7 +22,7 @@ from scipy.optimize import minimize_scalar
 from bayes_aero.arrays import AnyArray
 from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics, biased_dynamics
-from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
+from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, rows_by_core, simulate
 from bayes_aero.inference.covariance import BLOCK, LinearFit, calibration, covariance_of, means, segments_corrected
 from bayes_aero.inference.optimise import (
     MAX_TRIALS,
@@ -38,7 +38,7 @@ from bayes_aero.inference.optimise import (
 )
 from bayes_aero.inference.results import Inseparable, OutputErrorStatus, inseparable
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.processes import compiled_at, cores, side_by_side
+from bayes_aero.processes import compiled_at, side_by_side
 
 OfStates = Float[np.ndarray, "w s"]
 
@@ -100,15 +100,13 @@ def _inner_products(flown: SegmentTrajectories, theta: Float[AnyArray, " k"], de
 class NormalEquations:
     """Normal equations of one set of segments, evaluated at many points; the segments are divided among the cores."""
 
-    # XLA runs a scan on one core. The first evaluation takes the parts one by one, so that only one thread compiles. A
-    # part without samples is not simulated.
+    # The first evaluation takes the parts one by one, so that only one thread compiles. A part without samples is not
+    # simulated.
     def __init__(self, flown: SegmentTrajectories, prior: NormalPriors):
-        w = len(flown.index)
-        size = -(-w // min(w, cores()))
         self.prior = prior
         self.count = flown.inside.sum(axis=1).astype(float)
         self.noise_growth = float(np.log(flown.noise_growth[flown.inside]).sum())
-        self._rows = [np.minimum(np.arange(a, a + size), w - 1) for a in range(0, w, size)]  # the last may repeat
+        self._rows = rows_by_core(len(flown.index))
         self._parts = {
             number: jax.device_put(flown.nameless.part(rows))
             for number, rows in enumerate(self._rows)

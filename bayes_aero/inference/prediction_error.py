@@ -1,15 +1,15 @@
 """Prediction error: parameters, process noise and measurement noise, jointly, by the likelihood of the innovations.
 
 The extended Kalman filter's gain varies with time, so that the initial state, missing samples and several sensor rates
-are counted for what they are. Fisher scoring on 1/2 sum (log S + e^2 / S) and the priors, with exact sensitivities of
-innovations and variances. Source: Åström 1980, Automatica 16, 551 (prediction-error likelihood); Mehra 1971,
-AIAA J. 9, 28 (in flight test).
+are counted for what they are. Fisher scoring on 1/2 sum (log S + e^2 / S) and the priors: an exact gradient, and the
+information without derivatives of the gains by the motion. Source: Åström 1980, Automatica 16, 551 (prediction-error
+likelihood); Mehra 1971, AIAA J. 9, 28 (in flight test).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, NamedTuple
@@ -28,25 +28,26 @@ from bayes_aero.dynamics.kalman import (
     disturbances_along,
     filter_segments,
     innovations_density,
-    linear_innovations,
     linearise,
     log_likelihood,
     neighbour_correlation,
-    noise_derivatives,
+    scores_along,
 )
-from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.dynamics.segments import SegmentTrajectories, rows_by_core
 from bayes_aero.flight.health import quantum
 from bayes_aero.inference.covariance import covariance_of, standard_error_of_sum
-from bayes_aero.inference.optimise import APPROXIMATE_SCORING, Evaluation, Problem, Vector, minimise
+from bayes_aero.inference.optimise import APPROXIMATE_SCORING, SCORING, Evaluation, Problem, Rule, Vector, minimise
 from bayes_aero.inference.output_error import initial_state_sd
 from bayes_aero.inference.results import COLOURED_INNOVATIONS, Calibration, OneStep, Posterior, Predicted, Share
 from bayes_aero.inference.sampling import EnsembleLength, NutsLength, find_mode, inside, sample_ensemble, sample_nuts
 from bayes_aero.model.observations import LogDensity
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.processes import compiled_at
+from bayes_aero.processes import compiled_at, side_by_side
 from bayes_aero.progress import Progress, quiet
+from bayes_aero.residuals.base import DIRECTIONS_PER_CALL
 
 TOLERANCE, HELD_GAINS_TOLERANCE = 1e-3, 0.3  # of the log likelihood, with exact gradients and with the gains held
+FAR, NEAR = 10.0, 5.0  # nats: below the first the exact gradient is needed, below the second changes of it as well
 MIN_NOISE = 1e-12  # of F and R
 LOG_STEP_LIMIT = 2.0  # of log F and log R, in one step
 ROUNDING_DIVISOR = 12.0  # the variance of rounding is the squared resolution over this
@@ -95,48 +96,25 @@ def _filter_segments(flown, point, start_deviation, k, s):
 
 
 @compiled_at(1)
-def _evaluate(flown, point, start_deviation, k, s):
-
-    def at(point):
-        filtered = _filter(flown, point, start_deviation, k, s)
-        return (filtered.innovation, filtered.variance), filtered
-
-    derivative = jax.vmap(lambda t: jax.jvp(at, (point,), (t,), has_aux=True), out_axes=(None, -1, None))
-    (e, S), (de, dS), filtered = derivative(jnp.eye(len(point)))
-    return _scores(e, S, de, dS, filtered.used)
+def _gradient(flown, point, start_deviation, k, s):
+    """Minus the log likelihood, and its gradient."""
+    return jax.value_and_grad(lambda x: -log_likelihood(_filter(flown, x, start_deviation, k, s)))(point)
 
 
 @compiled_at(1)
-def _evaluate_held_gains(flown, path, point, start_deviation, k, s, means):
-    """Cost, approximate gradient and information along a filtered `path`, for a fraction of the time."""
-    # The gains are held while the parameters `means` (indices) vary. The parameters of disturbances and noise vary in
-    # the filter linearised along the path.
-    unit = jnp.eye(len(point))
-    means, others = np.array(means, int), np.setdiff1d(np.arange(len(point)), means)
-    lin = linearise(flown, point[:k], path.predicted, path.state, unit[means, :k])
+def _held_gains(flown, path, point, start_deviation, k, s, means, others):
+    """Approximate gradient and information along a filtered `path`, in directions (d, j) and (o, j) of the point."""
+    # The gains are held in directions `means` of the motion; `others` are those of disturbances and noise.
+    lin = linearise(flown, point[:k], path.predicted, path.state, means[:, :k])
 
     def noise_at(point):
         return disturbances_along(
             flown, point[:k], path.state, start_deviation, jnp.exp(point[k : k + s]), jnp.exp(point[k + s :])
         )
 
-    noise, slopes = jax.vmap(lambda t: jax.jvp(noise_at, (point,), (t,)), out_axes=(None, -1))(unit[others])
-    dt = jnp.asarray(flown.dt)
-    both, S, found = linear_innovations(lin, noise, dt)
-    de_others, dS_others = noise_derivatives(lin, noise, slopes, dt, found)
-    de = jnp.zeros((*S.shape, len(point))).at[..., means].set(both[..., 1:]).at[..., others].set(de_others)
-    dS = jnp.zeros_like(de).at[..., others].set(dS_others)
-    return _scores(both[..., 0], S, de, dS, path.used)
-
-
-def _scores(e, S, de, dS, used):
-    weight = jnp.where(used, 1.0 / S, 0.0)
-    cost = 0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
-    gradient = jnp.einsum("wncj,wnc->j", de, e * weight)
-    gradient += 0.5 * jnp.einsum("wncj,wnc->j", dS, weight * (1.0 - e**2 * weight))
-    information = jnp.einsum("wnci,wnc,wncj->ij", de, weight, de)
-    information += 0.5 * jnp.einsum("wnci,wnc,wncj->ij", dS, weight**2, dS)
-    return cost, gradient, information
+    along = lambda t: jax.jvp(noise_at, (point,), (t,))  # noqa: E731
+    noise, slopes = jax.vmap(along, out_axes=(None, -1))(others)
+    return scores_along(path, lin, noise, slopes, jnp.asarray(flown.dt))
 
 
 def start_deviation(flown: SegmentTrajectories) -> Float[np.ndarray, " s"]:
@@ -152,18 +130,18 @@ def fit_prediction_error(
     start: Vector | None = None,
     priors: bool = True,
     exact: bool = True,
+    held: Collection[str] = (),
 ) -> PredictionErrorResult:
-    """Fit all segments together from the noise `F` (s,) and `R` (c,), SI; consistent estimates where not `exact`."""
+    """Fit all segments together from the noise `F` (s,) and `R` (c,), SI; consistent estimates where not `exact`.
+    Parameters that are `held` stay at their `start`."""
     F, free, dynamics = np.asarray(F, float), flown.dynamics.free, flown.dynamics
-    problem, k, s = _Innovations(flown, F > 0.0, priors), len(free), len(F)
+    problem, k, s = _Innovations(flown, F > 0.0, priors, held), len(free), len(F)
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
     logs = np.log(np.maximum(np.concatenate([F, R]), MIN_NOISE))
     point = np.concatenate([theta, np.maximum(logs, problem.bounds[k:, 0])])
-    point, at, converged, steps = minimise(
-        problem, point, HELD_GAINS_TOLERANCE, APPROXIMATE_SCORING, evaluate=problem.evaluate_held_gains
-    )
-    if exact:
-        point, at, converged, more = minimise(problem, point, TOLERANCE)
+    steps, at = 0, Evaluation(math.nan, np.zeros(0), np.zeros((0, 0)))
+    for tolerance, rule, evaluate in problem.stages(exact):
+        point, at, converged, more = minimise(problem, point, tolerance, rule, evaluate=evaluate)
         steps += more
     status = PredictionErrorStatus.CONVERGED if converged else PredictionErrorStatus.NOT_CONVERGED
     return PredictionErrorResult(
@@ -176,7 +154,7 @@ def fit_prediction_error(
         covariance=covariance_of(at.information, problem.moving),
         log_likelihood=problem.prior_cost(point) - at.cost,
         cost=at.cost,
-        found=problem.path(point)[1],
+        found=problem.path(point),
         status=status if math.isfinite(at.cost) else PredictionErrorStatus.DIVERGED,
         iterations=steps,
     )
@@ -185,50 +163,107 @@ def fit_prediction_error(
 class _Innovations(Problem):
     """Minus the log posterior density of j = k + s + c variables: parameters (k), log F (s), log R (c)."""
 
-    def __init__(self, flown: SegmentTrajectories, disturbed: np.ndarray, priors: bool) -> None:
+    def __init__(
+        self, flown: SegmentTrajectories, disturbed: np.ndarray, priors: bool, held: Collection[str] = ()
+    ) -> None:
         free, channels = flown.dynamics.free, flown.flights.channels
         k, s, rest = len(free), len(disturbed), len(disturbed) + len(flown.outputs)
         rows = [np.flatnonzero(flown.flights.manoeuvre == number) for number in np.unique(flown.manoeuvre)]
         finest = (min(quantum(np.asarray(channels[n])[part]) for part in rows) for n in flown.outputs)
         least = [*[MIN_NOISE] * s, *(max(MIN_NOISE, step**2 / ROUNDING_DIVISOR) for step in finest)]
         bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in least)])
-        super().__init__(bounds, np.array([*[True] * k, *disturbed, *[True] * len(flown.outputs)]))
+        super().__init__(
+            bounds, np.array([*(p.name not in held for p in free), *disturbed, *[True] * len(flown.outputs)])
+        )
         self.step_limit[k:] = LOG_STEP_LIMIT
         self.mean, self.precision = np.zeros(k + rest), np.zeros(k + rest)
         if priors:
             normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
-            self.mean[:k], self.precision[:k] = normals[:, 0], normals[:, 1] ** -2.0
-        self.flown, self.sizes = flown.nameless, (jnp.asarray(start_deviation(flown)), k, s)
-        self._last: tuple[bytes, float, Filtered] | None = None
+            self.mean[:k], self.precision[:k] = normals[:, 0], np.where(self.moving[:k], normals[:, 1] ** -2.0, 0.0)
+        self.sizes = jnp.asarray(start_deviation(flown)), k, s
+        of_noise = [p.name in flown.dynamics.disturbance_parameters for p in free]
+        other = np.array([*of_noise, *[True] * rest])
+        self._kinds = [np.flatnonzero(self.moving & mark) for mark in (~other, other)]
+        # A few numbers of directions, so that fits with one parameter more share compiled programs.
+        size = -(-len(self._kinds[0]) // DIRECTIONS_PER_CALL) * DIRECTIONS_PER_CALL
+        self._directions = [np.zeros((max(size, 1), k + rest)), np.zeros((len(self._kinds[1]), k + rest))]
+        for directions, kind in zip(self._directions, self._kinds, strict=True):
+            directions[np.arange(len(kind)), kind] = 1.0
+        self._parts = list[SegmentTrajectories]()
+        for number, rows in enumerate(rows_by_core(len(flown.index))):
+            part, first = flown.part(rows), number * len(rows)
+            new = first + np.arange(len(rows)) < len(flown.index)  # a repeated segment counts nothing
+            self._parts.append(jax.device_put(replace(part, inside=part.inside & new[:, None]).nameless))
+        self._count, self._compiled = len(flown.index), set[Any]()
+        self._last: tuple[bytes, float, list[Filtered]] | None = None
+        self._information: np.ndarray | None = None
+
+    def stages(self, exact: bool) -> list[tuple[float, Rule, Callable[[Vector], Evaluation]]]:
+        """Tolerance, rule and evaluation of each stage of a fit."""
+        if not exact:
+            return [(HELD_GAINS_TOLERANCE, APPROXIMATE_SCORING, self.evaluate_held_gains)]
+        return [
+            (FAR, APPROXIMATE_SCORING, self.evaluate_held_gains),
+            (NEAR, SCORING._replace(quasi_newton=False), self.evaluate),
+            (TOLERANCE, SCORING, self.evaluate_gradient),
+        ]
 
     def prior_cost(self, point: Vector) -> float:
         return 0.5 * float(self.precision @ (point - self.mean) ** 2)
 
     def cost(self, point: Vector) -> float:
-        return self.path(point)[0] + self.prior_cost(point)
+        return self.parts_at(point)[0] + self.prior_cost(point)
 
-    def path(self, point: Vector) -> tuple[float, Filtered]:
-        """Minus the log likelihood, and the filtered segments; those of the last point are stored."""
+    def parts_at(self, point: Vector) -> tuple[float, list[Filtered]]:
+        """Minus the log likelihood, and the filtered segments by part; those of the last point are stored."""
         if self._last is None or self._last[0] != point.tobytes():
-            cost, filtered = _filter_segments(self.flown, jnp.asarray(point), *self.sizes)
-            self._last = point.tobytes(), float(cost), filtered
+            made = self._each(_filter_segments, point)
+            self._last = point.tobytes(), float(sum(float(cost) for cost, _ in made)), [found for _, found in made]
         return self._last[1:]
 
+    def path(self, point: Vector) -> Filtered:
+        """All filtered segments."""
+        found = self.parts_at(point)[1]
+        return jax.tree.map(lambda *x: np.concatenate([np.asarray(y) for y in x])[: self._count], *found)
+
     def evaluate(self, point: Vector) -> Evaluation:
-        """Cost, gradient and expected information."""
-        return self._with_priors(point, _evaluate(self.flown, jnp.asarray(point), *self.sizes))
+        """Cost and exact gradient; the expected information without the derivatives of the gains by the motion."""
+        self._information = self.evaluate_held_gains(point).information
+        return self.evaluate_gradient(point)
+
+    def evaluate_gradient(self, point: Vector) -> Evaluation:
+        """Cost and exact gradient, with the information where it was last computed."""
+        if self._information is None:
+            return self.evaluate(point)
+        cost, gradient = (sum(map(np.asarray, x)) for x in zip(*self._each(_gradient, point), strict=True))
+        return Evaluation(*self._with_priors(point, cost, gradient), self._information)
 
     def evaluate_held_gains(self, point: Vector) -> Evaluation:
-        """The same without the derivatives of the gains by the parameters of the motion."""
-        dynamics = self.flown.dynamics
-        means = tuple(i for i, p in enumerate(dynamics.free) if p.name not in dynamics.disturbance_parameters)
-        path = self.path(point)[1]
-        return self._with_priors(point, _evaluate_held_gains(self.flown, path, jnp.asarray(point), *self.sizes, means))
+        """The same, of the gradient, too, without the derivatives of the gains by the motion."""
+        cost, paths = self.parts_at(point)
+        each = self._each(_held_gains, point, paths, *self._directions)
+        size, (means, others), j = len(self._directions[0]), self._kinds, len(point)
+        made, chosen = np.append(np.arange(len(means)), size + np.arange(len(others))), np.append(means, others)
+        gradient, information = np.zeros(j), np.diag(self.precision)
+        for g, A in each:
+            gradient[chosen] += np.asarray(g)[made]
+            information[np.ix_(chosen, chosen)] += np.asarray(A)[np.ix_(made, made)]
+        return Evaluation(*self._with_priors(point, cost, gradient), information)
 
-    def _with_priors(self, point: Vector, likelihood: Sequence[Array]) -> Evaluation:
-        cost, gradient, information = (np.asarray(x) for x in likelihood)
-        gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
-        return Evaluation(float(cost) + self.prior_cost(point), gradient, information)
+    def _each(self, program: Any, point: Vector, paths: Sequence[Filtered] = (), *more: Any) -> list[Any]:
+        """A program for every part, one by one where it is not compiled yet."""
+
+        def of(number: int) -> Any:
+            path = (paths[number],) if paths else ()
+            return jax.block_until_ready(program(self._parts[number], *path, jnp.asarray(point), *self.sizes, *more))
+
+        every = range(len(self._parts))
+        made = side_by_side(of, every) if program in self._compiled else list(map(of, every))
+        self._compiled.add(program)
+        return made
+
+    def _with_priors(self, point: Vector, cost: Any, gradient: Any) -> tuple[float, Vector]:
+        return float(cost) + self.prior_cost(point), gradient + self.precision * (point - self.mean)
 
 
 # --- A fit with all disturbances of a flight: gusts, and process noise of the states for what gusts do not explain.
@@ -264,6 +299,7 @@ def fit_disturbed(
     priors: bool = True,
     exact: bool = True,
     similar: PredictionErrorResult | None = None,
+    held: Collection[str] = (),
 ) -> tuple[SegmentTrajectories, PredictionErrorResult]:
     """Fit with process noise, from the estimates of output error (k,) and the variances R of its residuals (c,), SI."""
     # States that a sensor measures have process noise of their own; gusts have theirs; other states have none. Gusts
@@ -284,7 +320,7 @@ def fit_disturbed(
         )
         noise, R = dict(zip(similar.states, similar.F, strict=True)), similar.R
         F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(states, F, strict=True)])
-    return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact)
+    return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact, held=held)
 
 
 # --- The posterior of a flight fitted with process noise: parameters, process noise and measurement noise, jointly.
