@@ -332,13 +332,13 @@ def scores_along(
 # Sums over few states are written out: XLA makes quicker code of them than of products of thousands of small matrices.
 
 
-def _congruent(X: Float[Array, "*n i s"], P: Float[Array, "*n s s m"]) -> Float[Array, "*n i i m"]:
+def _congruent(X: Float[Array, "... i s"], P: Float[Array, "... s s m"]) -> Float[Array, "... i i m"]:
     """X P X' of symmetric P in m directions."""
     half = (X @ P.reshape(*P.shape[:-2], -1)).reshape(*X.shape, P.shape[-1])
     return sum(half[..., :, None, j, :] * X[..., None, :, j, None] for j in range(X.shape[-1]))
 
 
-def _diagonal(X: Float[Array, "*n i c"], d: Float[Array, "*n c m"]) -> Float[Array, "*n i i m"]:
+def _diagonal(X: Float[Array, "... i c"], d: Float[Array, "... c m"]) -> Float[Array, "... i i m"]:
     """X diag(d) X' in m directions."""
     return sum(
         (X[..., :, None, j] * X[..., None, :, j])[..., None] * d[..., None, None, j, :] for j in range(X.shape[-1])

@@ -319,14 +319,15 @@ def test_what_is_hidden_is_found_in_gusts_as_an_effect_or_as_a_term_beside_what_
 
 @pytest.mark.parametrize("name", ["airspeed_scale", "alpha_scale", "pitch_attitude_bias", "CLa", "Cma2"])
 def test_sensitivities_of_innovations_are_those_of_finite_differences(gusty, name):
-    """An error of scale makes the sensor's noise larger, too, which its sensitivity must hold."""
+    """An error of scale makes the sensor's noise larger, too, which its sensitivity must hold; of the largest within
+    1e-3, for the motion is linearised once a step, in its middle."""
     state = gusty[0].model.base
     directions, step = np.zeros((16, len(state.theta))), 1e-5
     directions[0, state.full.columns([name])[0]] = 1.0
     _, slope = state.responses.slopes(state.theta, directions)
     up, down = (state.responses.evaluate(state.theta + sign * step * directions[0])[0] for sign in (1, -1))
     difference = (np.asarray(down) - np.asarray(up)) / (2.0 * step)
-    np.testing.assert_allclose(slope[0], difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
+    np.testing.assert_allclose(slope[0], difference, atol=1e-3 * np.abs(difference).max())
 
 
 def test_gusts_have_their_size_and_nothing_is_found_where_nothing_is_hidden(hfb320):
@@ -348,7 +349,7 @@ def test_gusts_have_their_size_and_nothing_is_found_where_nothing_is_hidden(hfb3
 
 @pytest.mark.parametrize(("way", "factors", "tolerances"), [
     (AddedCoefficients, ("alpha", "alpha", "qhat"), (1e-9, 1e-4)),
-    (AddedToFilter, ("elevator", "CT"), (1e-8, 5e-4)),  # the card's tail arm is 1e9 m
+    (AddedToFilter, ("elevator", "CT"), (1e-8, 5e-3)),  # the card's tail arm is 1e9 m; at steps of the elevator
 ])  # fmt: skip
 def test_terms_fly_as_the_parameter_of_the_card_and_as_the_effect_of_a_file(
     way, factors, tolerances, calm, gusty, tmp_path
@@ -451,7 +452,8 @@ MORE = (
 def test_innovations_of_six_degrees_of_freedom_change_as_their_sensitivities_say(tmp_path):
     """Of effects that the filter's model lacks, one of which parts its separation point in two; central differences.
 
-    The states of the filter are angles of attitude. Effects at neutral leave its innovations.
+    The states of the filter are angles of attitude. Effects at neutral leave its innovations. The motion is linearised
+    in the middle of each step.
     """
     plane, rng = stranger_six.Plane(tau1=20.0), np.random.default_rng(3)
     lateral = ("sideslip_side_force", "sideslip_roll", "roll_damping", "sideslip_yaw", "yaw_damping")
@@ -479,4 +481,4 @@ def test_innovations_of_six_degrees_of_freedom_change_as_their_sensitivities_say
         assert size > 1e-6, model.names[place]
         step = 1e-4 / size * np.eye(len(wide))[place]  # the altitude, of thousands of metres, is rounded
         difference = (residual(wide - step) - residual(wide + step)) / 2e-4 * size
-        np.testing.assert_allclose(slope, difference, atol=1e-5 * size, err_msg=model.names[place])
+        np.testing.assert_allclose(slope, difference, atol=1e-3 * size, err_msg=model.names[place])
