@@ -335,14 +335,14 @@ def scores_along(
 def _congruent(X: Float[Array, "... i s"], P: Float[Array, "... s s m"]) -> Float[Array, "... i i m"]:
     """X P X' of symmetric P in m directions."""
     half = (X @ P.reshape(*P.shape[:-2], -1)).reshape(*X.shape, P.shape[-1])
-    return sum(half[..., :, None, j, :] * X[..., None, :, j, None] for j in range(X.shape[-1]))
+    terms = (half[..., :, None, j, :] * X[..., None, :, j, None] for j in range(X.shape[-1]))
+    return sum(terms, jnp.zeros(()))
 
 
 def _diagonal(X: Float[Array, "... i c"], d: Float[Array, "... c m"]) -> Float[Array, "... i i m"]:
     """X diag(d) X' in m directions."""
-    return sum(
-        (X[..., :, None, j] * X[..., None, :, j])[..., None] * d[..., None, None, j, :] for j in range(X.shape[-1])
-    )
+    squares = (X[..., :, None, j] * X[..., None, :, j] for j in range(X.shape[-1]))
+    return sum((x[..., None] * d[..., None, None, j, :] for j, x in enumerate(squares)), jnp.zeros(()))
 
 
 # --- Filter linearised along its own path: derivatives of all samples at once, then products of small matrices.

@@ -46,7 +46,7 @@ from bayes_aero.processes import compiled_at, side_by_side
 from bayes_aero.progress import Progress, quiet
 from bayes_aero.residuals.base import DIRECTIONS_PER_CALL
 
-TOLERANCE, HELD_GAINS_TOLERANCE = 1e-3, 0.3  # of the log likelihood, with exact gradients and with the gains held
+TOLERANCE = 1e-3  # of the log likelihood
 FAR, NEAR = 10.0, 5.0  # nats: below the first the exact gradient is needed, below the second changes of it as well
 MIN_NOISE = 1e-12  # of F and R
 LOG_STEP_LIMIT = 2.0  # of log F and log R, in one step
@@ -102,9 +102,10 @@ def _gradient(flown, point, start_deviation, k, s):
 
 
 @compiled_at(1)
-def _held_gains(flown, path, point, start_deviation, k, s, means, others):
+def _held_gains(flown, path, point, start_deviation, k, s, directions):
     """Approximate gradient and information along a filtered `path`, in directions (d, j) and (o, j) of the point."""
-    # The gains are held in directions `means` of the motion; `others` are those of disturbances and noise.
+    # In the first, of the motion, the gains are held; the others are those of disturbances and noise.
+    means, others = directions
     lin = linearise(flown, point[:k], path.predicted, path.state, means[:, :k])
 
     def noise_at(point):
@@ -129,18 +130,16 @@ def fit_prediction_error(
     *,
     start: Vector | None = None,
     priors: bool = True,
-    exact: bool = True,
     held: Collection[str] = (),
 ) -> PredictionErrorResult:
-    """Fit all segments together from the noise `F` (s,) and `R` (c,), SI; consistent estimates where not `exact`.
-    Parameters that are `held` stay at their `start`."""
+    """Fit all segments together from the noise `F` (s,) and `R` (c,), SI; `held` parameters stay at their `start`."""
     F, free, dynamics = np.asarray(F, float), flown.dynamics.free, flown.dynamics
     problem, k, s = _Innovations(flown, F > 0.0, priors, held), len(free), len(F)
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
     logs = np.log(np.maximum(np.concatenate([F, R]), MIN_NOISE))
     point = np.concatenate([theta, np.maximum(logs, problem.bounds[k:, 0])])
     steps, at = 0, Evaluation(math.nan, np.zeros(0), np.zeros((0, 0)))
-    for tolerance, rule, evaluate in problem.stages(exact):
+    for tolerance, rule, evaluate in problem.stages():
         point, at, converged, more = minimise(problem, point, tolerance, rule, evaluate=evaluate)
         steps += more
     status = PredictionErrorStatus.CONVERGED if converged else PredictionErrorStatus.NOT_CONVERGED
@@ -198,10 +197,8 @@ class _Innovations(Problem):
         self._last: tuple[bytes, float, list[Filtered]] | None = None
         self._information: np.ndarray | None = None
 
-    def stages(self, exact: bool) -> list[tuple[float, Rule, Callable[[Vector], Evaluation]]]:
+    def stages(self) -> list[tuple[float, Rule, Callable[[Vector], Evaluation]]]:
         """Tolerance, rule and evaluation of each stage of a fit."""
-        if not exact:
-            return [(HELD_GAINS_TOLERANCE, APPROXIMATE_SCORING, self.evaluate_held_gains)]
         return [
             (FAR, APPROXIMATE_SCORING, self.evaluate_held_gains),
             (NEAR, SCORING._replace(quasi_newton=False), self.evaluate),
@@ -241,7 +238,7 @@ class _Innovations(Problem):
     def evaluate_held_gains(self, point: Vector) -> Evaluation:
         """The same, of the gradient, too, without the derivatives of the gains by the motion."""
         cost, paths = self.parts_at(point)
-        each = self._each(_held_gains, point, paths, *self._directions)
+        each = self._each(_held_gains, point, paths, self._directions)
         size, (means, others), j = len(self._directions[0]), self._kinds, len(point)
         made, chosen = np.append(np.arange(len(means)), size + np.arange(len(others))), np.append(means, others)
         gradient, information = np.zeros(j), np.diag(self.precision)
@@ -297,7 +294,6 @@ def fit_disturbed(
     R: Float[np.ndarray, " c"],
     *,
     priors: bool = True,
-    exact: bool = True,
     similar: PredictionErrorResult | None = None,
     held: Collection[str] = (),
 ) -> tuple[SegmentTrajectories, PredictionErrorResult]:
@@ -320,7 +316,7 @@ def fit_disturbed(
         )
         noise, R = dict(zip(similar.states, similar.F, strict=True)), similar.R
         F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(states, F, strict=True)])
-    return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact, held=held)
+    return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, held=held)
 
 
 # --- The posterior of a flight fitted with process noise: parameters, process noise and measurement noise, jointly.
