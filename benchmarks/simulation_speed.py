@@ -1,11 +1,11 @@
 """Simulation with sensitivities against a bare scan of the same equations, and fits, warm.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/simulation_speed.py [stall six fit] [--book ../shared/book]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/simulation_speed.py [stall six fit filter] [--book ../shared/book]
 
 `stall`: one stall manoeuvre of the card `attas`, in the plane of symmetry. `six`: three simulated manoeuvres of
-`full_six` (3-2-1-1, doublets of aileron and rudder) in six degrees of freedom. The bare scan is Runge and Kutta's step
-written out, and its forward derivative by JAX in all directions; both are first shown to compute the same. `fit`:
-output error of `six`, and with the book's data maximum likelihood of the coefficients of TC23.
+`full_six` (3-2-1-1, doublets of aileron and rudder). The bare scan is Runge and Kutta's step written out, and its
+forward derivative by JAX in all directions; both are first shown to compute the same. `fit`: output error of `six`, and
+maximum likelihood of TC23. `filter`: HFB-320 and the ATTAS stalls in gusts: log density, gradient, 16 at once, the fit.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,27 +32,24 @@ from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.output_error import fit_output_error
+from bayes_aero.inference.prediction_error import fit_disturbed, innovations_posterior
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join, observe
 from bayes_aero.model.records import Forming
+from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.simulate.demo import TRUTH, Request, simulate_stall
 from bayes_aero.simulate.injection import synthetic
 
-KINDS = ("elevator_3211", "aileron_doublet", "rudder_doublet")
-
 
 def compare(runs: Mapping[str, Callable[[], Any]], repeats: int = 5) -> None:
-    """A line each with its least seconds and their ratio to the first.
-
-    They run in turn, so that a slow moment of the machine falls on all, and each once untimed in its turn: the first
-    time it may compile, and later the shortest would pay for the caches and the memory that the longest left.
-    """
+    """A line each with its least seconds and their ratio to the first. They run in turn, each once untimed: the first
+    time it may compile, and later the shortest would pay for the caches and the memory that the longest left."""
     times: dict[str, list[float]] = {name: [] for name in runs}
     for _ in range(repeats):
         for name, run in runs.items():
-            run()
+            jax.block_until_ready(run())
             began = time.perf_counter()
-            run()
+            jax.block_until_ready(run())
             times[name].append(time.perf_counter() - began)
     first = min(next(iter(times.values())))
     for name, taken in times.items():
@@ -68,7 +66,6 @@ def step(system: Any, x: Any, now: Any, then: Any, dt: Any) -> Any:
 
 @eqx.filter_jit
 def bare(cut: SegmentTrajectories, theta: Any) -> Any:
-    """Outputs' derivatives by parameters and initial states."""
     prepared, dynamics, k = prepare(cut, theta), cut.dynamics, len(theta)
 
     def outputs(z):
@@ -88,7 +85,6 @@ def bare(cut: SegmentTrajectories, theta: Any) -> Any:
 
 @eqx.filter_jit
 def ours(cut: SegmentTrajectories, theta: Any) -> Any:
-    """The same, of residuals."""
     k, s = len(theta), len(cut.dynamics.start)
     away = jnp.zeros((len(cut.index), s))
     residual = lambda theta, shared: simulate(cut, theta, away + shared).residual  # noqa: E731
@@ -97,7 +93,6 @@ def ours(cut: SegmentTrajectories, theta: Any) -> Any:
 
 
 def flown(card: Card, records: Sequence[FlightRecord], truth: dict[str, float]) -> tuple[SegmentTrajectories, Any]:
-    """Whole manoeuvres and the true parameters."""
     flights = join(list(records), card, ())
     dynamics = aircraft_dynamics(Model.from_card(card), flights)
     outputs = tuple(n for n in dynamics.outputs if n in flights.channels and n != "altitude")
@@ -105,15 +100,13 @@ def flown(card: Card, records: Sequence[FlightRecord], truth: dict[str, float]) 
 
 
 def stall() -> tuple[SegmentTrajectories, Any]:
-    """One stall."""
     card = read_card("attas")
     return flown(card, [simulate_stall(0, card=card, sensor_noise=0.0, disturbance=0.0)], TRUTH)
 
 
 def six() -> tuple[SegmentTrajectories, Any]:
-    """Three manoeuvres in six degrees of freedom."""
-    card = read_card("full_six")
-    asked = [Request({}, kind, "white", seed=seed, duration=28.0) for seed, kind in enumerate(KINDS)]
+    card, kinds = read_card("full_six"), ("elevator_3211", "aileron_doublet", "rudder_doublet")
+    asked = [Request({}, kind, "white", seed=seed, duration=28.0) for seed, kind in enumerate(kinds)]
     made = [synthetic(one, card, CATALOGUE, one.manoeuvre) for one in asked]
     return flown(card, [one.record for one in made], {k: x for one in made for k, x in one.parameters.items()})
 
@@ -124,12 +117,10 @@ def sensitivities(name: str, cut: SegmentTrajectories, theta: Any) -> None:
     one, other = (np.asarray(x(whole, at))[cut.inside][:, kept] for x in (bare, ours))
     apart = np.abs(one + other).max() / np.abs(one).max()
     print(f"{name}: {cut.flights.n} samples, {len(theta)} parameters, Jacobians {apart:.0e} apart")
-    runs = {"bare scan": lambda: bare(whole, at), "bayes_aero": lambda: ours(whole, at)}
-    compare({label: lambda run=run: jax.block_until_ready(run()) for label, run in runs.items()}, 7)
+    compare({"bare scan": lambda: bare(whole, at), "bayes_aero": lambda: ours(whole, at)}, 7)
 
 
 def fits(book: Path | None) -> None:
-    """Output error of simulated manoeuvres, and maximum likelihood of TC23: 2128 samples, 20 parameters."""
     cut, theta = six()
     runs: dict[str, Any] = {"output error, simulated": lambda: fit_output_error(cut, start=1.1 * theta)}
     if book is not None:
@@ -141,6 +132,19 @@ def fits(book: Path | None) -> None:
     compare(runs)
 
 
+def filters(name: str, files: Sequence[Path]) -> None:
+    card = read_card(name)
+    flights = join([read_record(path, card.channels) for path in files], card, FLIGHT)
+    cut = segments(flights, aircraft_dynamics(Model.from_card(card), flights))
+    start = fit_output_error(cut, start=fit_output_error(segments(flights, cut.dynamics, window=10.0)).estimate)
+    gusty, found = fit_disturbed(cut, start.estimate, start.R)
+    density = innovations_posterior(gusty, start.R)
+    x, grad = jnp.asarray(density.start(found)), jax.grad(density.log_likelihood)
+    value, slope, both = map(jax.jit, (density.log_likelihood, grad, jax.vmap(grad)))
+    runs = {"log density": partial(value, x), "gradient": partial(slope, x), "16": partial(both, jnp.tile(x, (16, 1)))}
+    compare(runs | {"fit from output error": lambda: fit_disturbed(cut, start.estimate, start.R)[1].estimate}, 3)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="*", default=["stall", "six", "fit"])
@@ -149,6 +153,9 @@ def main() -> None:
     for what in given.what:
         if what == "fit":
             fits(given.book)
+        elif what == "filter":
+            filters("hfb320", [given.book / "hfb320_1_10.asc"])
+            filters("attas", [given.book.parent / "attas" / f"fAttas_qst0{k}.asc" for k in (1, 2)])
         else:
             sensitivities(what, *{"stall": stall, "six": six}[what]())
 

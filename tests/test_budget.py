@@ -16,11 +16,11 @@ LIMITS = {
     "bayes_aero: class names with several meanings": 0,
     "tests: lines": 21773,
     "tests: files": 85,
-    "benchmarks: lines": 4493,
+    "benchmarks: lines": 4500,
     "benchmarks: files": 25,
     "benchmarks/README.md: lines": 249,
     "CHANGELOG.md: lines": 150,
-    "docs: words": 24884,
+    "docs: words": 24938,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 
