@@ -18,7 +18,7 @@ LIMITS = {
     "tests: files": 85,
     "benchmarks: lines": 4500,
     "benchmarks: files": 25,
-    "benchmarks/README.md: lines": 249,
+    "benchmarks/README.md: lines": 250,
     "CHANGELOG.md: lines": 150,
     "docs: words": 24938,
 }
