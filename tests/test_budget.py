@@ -14,13 +14,13 @@ LIMITS = {
     "bayes_aero: files": 130,
     "bayes_aero: private helpers used once": 229,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 21773,
+    "tests: lines": 21784,
     "tests: files": 85,
     "benchmarks: lines": 4500,
     "benchmarks: files": 25,
     "benchmarks/README.md: lines": 250,
     "CHANGELOG.md: lines": 150,
-    "docs: words": 24938,
+    "docs: words": 24971,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

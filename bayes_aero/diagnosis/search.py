@@ -183,7 +183,7 @@ class Search:
         fit = self._inside(fit_output_error(brief, max_iterations=START_STEPS))
         full = without_lags(selection_state.candidate_model(self.model, flights, self.extra, self.settings))
         begin = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
-        status, known = PredictionErrorStatus.CONVERGED, dict[Any, Any]()  # fits that are asked for again
+        status, fits = PredictionErrorStatus.CONVERGED, dict[Any, Any]()  # by what is in and where they began
 
         def select(barred: tuple[str, ...]) -> Extension:
             """One addition after the other; after each, gusts and noise are estimated anew."""
@@ -194,9 +194,9 @@ class Search:
             while True:
                 self.progress("process noise", 0.0)
                 key = active, full.vector(values).tobytes()
-                if key not in known:
-                    known[key] = filtered_state(full, base, flights, fit.R, values, active, filtered)
-                state, filtered = known[key]
+                if key not in fits:
+                    fits[key] = filtered_state(full, base, flights, fit.R, values, active, filtered)
+                state, filtered = fits[key]
                 state = selection_state.moved(state, state.theta, apart=apart)
                 room = 0 if unreliable else min(1, self.settings.max_effects - len(active))
                 seed = self.seed + len(active)

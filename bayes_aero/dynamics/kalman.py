@@ -60,6 +60,7 @@ def discrete_noise(transition: Square, density: PerState, dt: Any) -> Square:
 
 
 def _simpson(transition: Float[Array, "*n s s"]) -> list[tuple[float, Array]]:
+    """Weights of Simpson's rule, and the transitions over a whole sample, half of it, and none."""
     identity = jnp.eye(transition.shape[-1])
     change = transition - identity
     half = identity + 0.5 * change - 0.125 * change @ change
@@ -371,7 +372,6 @@ class StateDerivatives(NamedTuple):
     transition: Float[Array, "w n s s"]  # of the next state
     points: Float[Array, "m w n s"]  # states in the middle of each of m steps,
     motion: Float[Array, "m w n s s"]  # and the derivatives of the motion there, times the step
-    ahead: States  # the next state
 
 
 def state_derivatives(flown: SegmentTrajectories, theta: Theta, before: States, after: States) -> StateDerivatives:
@@ -379,8 +379,8 @@ def state_derivatives(flown: SegmentTrajectories, theta: Theta, before: States, 
     prepared = prepare(flown, theta)
     unit = jnp.eye(before.shape[-1])
     then = later(prepared.drives, flown.held)
-    points, ahead = stage_points(prepared.sensed, after, prepared.drives, then, jnp.asarray(flown.dt), flown.substeps)
-    points, now = points[MIDDLE], _in_the_middle(flown, prepared.drives)
+    points = stage_points(prepared.sensed, after, prepared.drives, then, jnp.asarray(flown.dt), flown.substeps)[MIDDLE]
+    now = _in_the_middle(flown, prepared.drives)
 
     def slopes(f):
         return lambda x, u: jax.vmap(jax.linearize(lambda x: f(prepared.sensed, x, u), x)[1], out_axes=-1)(unit)
@@ -390,7 +390,7 @@ def state_derivatives(flown: SegmentTrajectories, theta: Theta, before: States, 
     transition = unit
     for A in rates:
         transition = step_series(A)[0] @ transition
-    return StateDerivatives(matrix, transition, points, rates, ahead)
+    return StateDerivatives(matrix, transition, points, rates)
 
 
 def linearise(

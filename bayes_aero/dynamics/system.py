@@ -273,7 +273,7 @@ def _along(
     at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731
     u = at(inputs, then)  # m w n
     t_u = at(t_inputs, later(t_inputs, held, axis=1))  # m w n d
-    points = stage_points(system, x, inputs, then, dt, substeps)[0]
+    points = stage_points(system, x, inputs, then, dt, substeps)
     read = tuple(name for name in outputs if name not in system.state_outputs)
     moved = jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None)
     dynamic, static = eqx.partition(system, moved)
@@ -310,11 +310,10 @@ def _along(
 
 def stage_points(
     system: Any, x: Float[Array, "w n s"], now: Channels, then: Channels, dt: Float[Array, " w"], substeps: int
-) -> tuple[Float[Array, "m w n s"], Float[Array, "w n s"]]:
-    """States at all m Runge-Kutta stages, all samples at once, and those a sample later; inputs (w, n)."""
-    of_sample = lambda x, now, then, dt: _stages(system, x, now, then, dt, substeps, lambda point, _: point)  # noqa: E731
-    after, points = jax.vmap(jax.vmap(of_sample, (0, 0, 0, None), (0, 1)), out_axes=(0, 1))(x, now, then, dt)
-    return points, after
+) -> Float[Array, "m w n s"]:
+    """States at all m Runge-Kutta stages, all samples at once; inputs (w, n)."""
+    of_sample = lambda x, now, then, dt: _stages(system, x, now, then, dt, substeps, lambda point, _: point)[1]  # noqa: E731
+    return jax.vmap(jax.vmap(of_sample, (0, 0, 0, None), 1), out_axes=1)(x, now, then, dt)
 
 
 def linear_step(A: Float[Array, "m *n s s"], b: Float[Array, "m *n s d"], dx: Float[Array, "*n s d"], h: Any) -> Array:

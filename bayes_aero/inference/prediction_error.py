@@ -142,6 +142,7 @@ def fit_prediction_error(
     for tolerance, rule, evaluate in problem.stages():
         point, at, converged, more = minimise(problem, point, tolerance, rule, evaluate=evaluate)
         steps += more
+    information = problem.evaluate_held_gains(point).information if math.isfinite(at.cost) else at.information
     status = PredictionErrorStatus.CONVERGED if converged else PredictionErrorStatus.NOT_CONVERGED
     return PredictionErrorResult(
         names=dynamics.names,
@@ -150,7 +151,7 @@ def fit_prediction_error(
         estimate=point[:k],
         F=np.where(F > 0.0, np.exp(point[k : k + s]), 0.0),
         R=np.exp(point[k + s :]),
-        covariance=covariance_of(at.information, problem.moving),
+        covariance=covariance_of(information, problem.moving),
         log_likelihood=problem.prior_cost(point) - at.cost,
         cost=at.cost,
         found=problem.path(point),
@@ -229,14 +230,14 @@ class _Innovations(Problem):
         return self.evaluate_gradient(point)
 
     def evaluate_gradient(self, point: Vector) -> Evaluation:
-        """Cost and exact gradient, with the information where it was last computed."""
+        """Cost and exact gradient, with the information of the last point where it was computed."""
         if self._information is None:
             return self.evaluate(point)
         cost, gradient = (sum(map(np.asarray, x)) for x in zip(*self._each(_gradient, point), strict=True))
         return Evaluation(*self._with_priors(point, cost, gradient), self._information)
 
     def evaluate_held_gains(self, point: Vector) -> Evaluation:
-        """The same, of the gradient, too, without the derivatives of the gains by the motion."""
+        """Cost, gradient and expected information, both without the derivatives of the gains by the motion."""
         cost, paths = self.parts_at(point)
         each = self._each(_held_gains, point, paths, self._directions)
         size, (means, others), j = len(self._directions[0]), self._kinds, len(point)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.dynamics import kalman
-from bayes_aero.dynamics.system import LinearSystem, advance, integrate, later
+from bayes_aero.dynamics.system import LinearSystem, System, advance, advance_linearised, integrate, later
 
 # The extended Kalman filter against another library, finite differences and closed forms
 DT, N = 0.04, 400
@@ -112,3 +112,29 @@ def test_gains_are_those_of_the_whole_sample_and_ask_no_library():
     # Two calls of LAPACK for a thousand matrices each, in one program, wait for each other on two cores.
     many = (jnp.broadcast_to(x, (1000, *np.shape(x))) for x in (P, C, variance, there))
     assert "custom_call" not in jax.jit(jax.vmap(kalman.gains)).lower(*many).as_text()
+
+
+def test_a_transition_by_one_jacobian_is_off_by_the_third_power_of_the_step():
+    """Of a pendulum that swings far, with a moment, against JAX's derivative of Runge and Kutta's step."""
+
+    class Pendulum(System):
+        @property
+        def states(self):
+            return ("angle", "rate")
+
+        def motion(self, x, u):
+            return jnp.stack([x[1], u["moment"] - 9.0 * jnp.sin(x[0]) - x[1] * jnp.abs(x[1])]), {}
+
+    x, now = jnp.array([1.0, 2.0]), {"moment": jnp.asarray(0.5)}
+
+    def apart(dt, substeps):
+        then = {"moment": jnp.asarray(0.5 + 5.0 * dt)}
+        ahead, transition = advance_linearised(Pendulum(), x, now, then, dt, substeps)
+        wanted, slope = kalman.value_and_slope(lambda x: advance(Pendulum(), x, now, then, dt, substeps), x)
+        np.testing.assert_allclose(ahead, wanted, rtol=1e-12)
+        return float(np.abs(transition - slope).max())
+
+    errors = [apart(dt, 1) for dt in (0.08, 0.04, 0.02)]
+    assert 0.0 < errors[0] < 1e-2
+    np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 8.0, rtol=0.2)
+    assert apart(0.08, 2) == pytest.approx(errors[0] / 4.0, rel=0.2)
