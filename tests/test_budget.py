@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41974,
+    "bayes_aero: lines": 41983,
     "bayes_aero: files": 130,
     "bayes_aero: private helpers used once": 229,
     "bayes_aero: class names with several meanings": 0,

@@ -498,6 +498,9 @@ class Disagreement:
     apart: float
 
 
+MIN_INTENSITY = 2.0  # standard errors from which an intensity is distinguishable from zero; our choice
+
+
 @dataclass(frozen=True)
 class GustHistory:
     """The gusts that one manoeuvre met, given all of its samples."""
@@ -519,9 +522,14 @@ class ProcessNoise:
     noise_sd: Mapping[str, float]  # standard deviation of the measurement noise by output
     autocorrelation: Mapping[str, float]  # of neighbouring innovations; 0 if the disturbance is as modelled
     gusts: Mapping[str, Value] = field(default_factory=dict)  # intensity (m/s; of buffet 1) and length (m; chords)
-    histories: tuple[GustHistory, ...] = ()  # what was met, by manoeuvre; empty where no gust has an intensity
+    histories: tuple[GustHistory, ...] = ()  # what was met, by manoeuvre; of gusts that are distinguishable
     one_step: OneStep | None = None  # whether one-step predictions are calibrated; None without convergence
     covariance: Float[np.ndarray, "k k"] | None = None  # of the `estimates`, in their order
+
+    @property
+    def distinguishable(self) -> tuple[str, ...]:
+        """Gusts, and buffet, of an intensity that is distinguishable from zero."""
+        return tuple(name for name, (x, sd) in self.gusts.items() if x > MIN_INTENSITY * sd)
 
     @property
     def preferred(self) -> bool:

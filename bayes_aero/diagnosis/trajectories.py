@@ -169,11 +169,13 @@ _smoothed = compiled_at(0)(jax.vmap(smooth))
 def _histories(
     gusty: SegmentTrajectories, filtered: prediction_error.PredictionErrorResult
 ) -> tuple[result.GustHistory, ...]:
-    """By manoeuvre, by the smoother; only gusts that have an intensity."""
+    """By manoeuvre, by the smoother; only gusts of an intensity that is distinguishable from zero."""
     dynamics, values = gusty.dynamics, dict(zip(filtered.names, filtered.estimate, strict=True))
     model = getattr(dynamics, "model", None)  # of linear cards none
     processes = () if model is None else model.disturbances
-    met = {d.state: dynamics.states.index(d.state) for d in processes if values.get(d.intensity, 0.0) > 0.0}
+    least = {name: result.MIN_INTENSITY * sd for name, sd in zip(filtered.names, filtered.sd, strict=True)}
+    sure = [d for d in processes if values.get(d.intensity, 0.0) > least.get(d.intensity, 0.0)]
+    met = {d.state: dynamics.states.index(d.state) for d in sure}
     if not met:
         return ()
     (x, P), flights, histories = (np.asarray(y) for y in _smoothed(filtered.found)), gusty.flights, []

@@ -232,7 +232,6 @@ FAULTS = {
     "coloured": "innovations of {} are autocorrelated",
 }
 GUSTS = {"vertical_gust": "vertical", "longitudinal_gust": "longitudinal", "lateral_gust": "lateral"}
-MIN_INTENSITY = 2.0  # standard errors from which an intensity is distinguishable from zero; our choice
 
 
 def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) -> list[str]:
@@ -297,7 +296,7 @@ def _estimated_gusts(disturbed: ProcessNoise) -> list[str]:
     estimated, undetected, gusts = [], [], disturbed.gusts
     for name, word in ((n, word) for n, word in GUSTS.items() if n in gusts):
         (intensity, sd), (length, length_sd) = gusts[name], gusts[f"{name}_length"]
-        if intensity > MIN_INTENSITY * sd:
+        if name in disturbed.distinguishable:
             estimated.append(f"{word} {plus_minus(intensity, sd)} m/s (scale length {length:z.0f} ± {length_sd:.0f} m)")
         else:
             undetected.append(word)
@@ -305,7 +304,7 @@ def _estimated_gusts(disturbed: ProcessNoise) -> list[str]:
     if undetected:
         sentences.append(f"No {' and no '.join(undetected)} gusts are distinguishable from noise of the states.")
     if "buffet" in gusts:
-        key = "buffet" if gusts["buffet"][0] > MIN_INTENSITY * gusts["buffet"][1] else "no_buffet"
+        key = "buffet" if "buffet" in disturbed.distinguishable else "no_buffet"
         sentences.append(sentence(key, intensity=gusts["buffet"], length=gusts["buffet_length"]))
     return sentences
 
