@@ -10,11 +10,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41983,
+    "bayes_aero: lines": 41984,
     "bayes_aero: files": 130,
     "bayes_aero: private helpers used once": 229,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 21784,
+    "tests: lines": 21795,
     "tests: files": 85,
     "benchmarks: lines": 4500,
     "benchmarks: files": 25,

@@ -142,11 +142,12 @@ def _runner(client: Client, units: Path, report: Report, remedy: str) -> UnitRun
 
 def outcome_of(future: Future, unit: tuple[Mapping[str, Any], str], address: str, remedy: str) -> Mapping[str, Any]:
     """What `run_unit` returned on a worker, or the failure of a unit that ended its process."""
-    if future.status == "finished":
-        return cast("dict[str, Any]", future.result())
     if future.cancelled():  # Dask does so with all that runs when the connection is lost
         raise StoppedError(f"the scheduler at {address} is lost")
-    reason = cast(BaseException, future.exception())
+    # A result that was lost with its worker is waited for: Dask has it made again.
+    reason = cast("BaseException | None", future.exception())
+    if reason is None:
+        return cast("dict[str, Any]", future.result())
     if isinstance(reason, InputError):
         raise reason
     if isinstance(reason, KilledWorker):

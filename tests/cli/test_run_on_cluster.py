@@ -15,14 +15,16 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import dask
-import distributed  # noqa: F401  (its defaults come with it: set before, they would go with what a test has set)
+import distributed  # its defaults come with it: set before, they would go with what a test has set
 import psutil
 import pytest
 from calling import answer, called, holds, refused, succeeded
 
 from bayes_aero.study import run as units
+from bayes_aero.study.cluster import outcome_of
 
 pytestmark = pytest.mark.cluster
 QUICK = Path(__file__).with_name("quick_units.py")
@@ -180,6 +182,15 @@ def test_a_cluster_gives_the_numbers_of_one_process(program, folder, undisturbed
     monkeypatch.chdir(folder)
     assert program("run", "study.toml").code == 0
     same(folder, undisturbed)
+
+
+def test_a_result_that_is_lost_with_its_worker_is_taken_when_it_was_made_again():
+    """Between Dask's `done` and the reading of the result its status may be pending again."""
+    future = Mock(
+        spec=distributed.Future, status="pending", **{"cancelled.return_value": False, "exception.return_value": None}
+    )
+    future.result.return_value = {"name": "one"}
+    assert outcome_of(future, ({"name": "one"}, "."), "tcp://127.0.0.1:1", "") == {"name": "one"}
 
 
 def test_a_killed_worker_costs_nothing(folder, cluster, undisturbed):
