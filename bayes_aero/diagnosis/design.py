@@ -82,7 +82,8 @@ def next_test_points(
     theta: np.ndarray | None = None,
 ) -> TestPoints:
     """Choose them for ambiguity sets, at the sizes at which the effects of each are told apart, inside an envelope."""
-    names = sorted(frozenset().union(*sets))
+    names, responses = sorted(frozenset().union(*sets)), state.responses
+    state = replace(state, responses=replace(responses, path=flight_path(responses.flights)))  # it tells sensors apart
     effects, noise = {e.name: e for e in state.full.model.effects}, noise_of(state)
     chosen = [effects[name] for name in names]
     variants = variants_of(state if theta is None else replace(state, theta=theta), names, envelope)

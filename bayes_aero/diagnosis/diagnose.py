@@ -66,7 +66,9 @@ def diagnose(
         candidates = causes_of(searched, {}, quiet)
     # Offsets between manoeuvres are in the model beside the causes.
     hardly = stand_ins(candidates, stages, {u.coefficient for u in searched.unknown if not u.offsets})
-    causes, beyond, unnamed = attributed(candidates, settings, hardly)
+    # A cause that a form of no catalogue explains as well is one of several candidates for what is unexplained.
+    formed = [name for name, (_, less) in searched.forms.items() if less <= 0.0]
+    causes, beyond, unnamed = attributed(candidates, settings, (*hardly, *formed))
     effects = {e.name: e for e in searched.full.candidates}
     beyond = tuple(replace(c, wrong=wrong_channel(c, effects[c.name], card)) for c in beyond)
     causes = tuple(replace(c, beside_wrong=any(other.wrong for other in beyond)) for c in causes)

@@ -130,7 +130,8 @@ class Search:
         full = selection_state.candidate_model(self.model, flights, self.extra, self.settings)
         mle = fit_mle(self.model, observe(self.records, self.card, self.model), seed=self.seed)
         theta = full.vector(dict(zip(mle.names, mle.estimate, strict=True)))
-        responses = EquationError.of(flights, full.model)
+        # Directions in which sensors are off cost half as much without the flight path, which has its own search.
+        responses = replace(EquationError.of(flights, full.model), path=())
         stages = partial(search_in_stages, full, responses, theta, seed=self.seed, progress=self.progress)
         sensors, model, denied, unreliable = stages(self.contradiction)
         seek, what = partial(unexplained, model, seed=self.seed + 2000), "Unexplained structure was not sought"

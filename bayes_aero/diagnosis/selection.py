@@ -447,16 +447,21 @@ PAIRS = 10  # of records with the same noise added and subtracted, which cancels
 REGRESSORS = ("alpha", "airspeed", "q", "elevator")
 AT_BOUND = 1e-6  # of a parameter's value, within which it lies on a bound: fits stop 1e-9 short
 SLOW = 100.0  # largest variance of slow noise over that of the white noise beside it: ten times its size; our choice
+LOW = 3.0  # deviations of a lognormal prior below its median, beyond which no aircraft has a parameter; our choice
 FILTERED = -0.5  # lag-1 correlation of third differences above which they are not white noise's
 
 
 def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
-    """Parameters (1/e for one of infinite neutral value) with an estimate beyond the largest plausible size; that."""
+    """Parameters (1/e for one of infinite neutral value, or one that is too small) with an estimate beyond the largest
+    plausible size; that."""
     exceeded = {}
     for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in sizes):
-        largest = effect.sizes[p.name][1]
+        largest, finite = effect.sizes[p.name][1], math.isfinite(p.neutral)
         if abs(p.away(sizes[p.name].mean, sizes[p.name].sd)[0]) > largest:
-            exceeded[p.name if math.isfinite(p.neutral) else f"1/{p.name}"] = largest
+            exceeded[p.name if finite else f"1/{p.name}"] = largest
+        elif finite and p.prior.family == "lognormal":  # a stall so gradual is none
+            least = p.prior.location * math.exp(-LOW * p.prior.scale)
+            exceeded |= {f"1/{p.name}": 1.0 / least} if sizes[p.name].mean < least else {}
     return exceeded
 
 
@@ -485,7 +490,7 @@ def filtered_channels(flights: Flights) -> tuple[str, ...]:
 def noise_effect(state: SelectionState) -> tuple[Float[np.ndarray, " k"], ...]:
     """What recording noise does to each estimate of a fit at its optimum: its bias, and its standard deviation."""
     flights, rng, fit = state.responses.flights, np.random.default_rng(0), state.best
-    noise, parameters = flights.noise, fit.columns < len(state.theta)
+    noise, parameters = state.responses.noisy, fit.columns < len(state.theta)
     at = fit.columns[parameters]
 
     def step(extra: Mapping[str, np.ndarray], sign: float = 1.0) -> np.ndarray:
