@@ -675,8 +675,8 @@ def _beside(
     """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
     terms = list(chosen)
     for name in reached:
-        smooth = {c.component.label: c for c in columns_of(state, name) if _is_smooth(c.term)}
-        columns = [smooth[c.label] for c in _other_forms(full, effects, [c.component for c in smooth.values()])]
+        able = {c.component.label: c for c in columns_of(state, name) if shapes.SEPARATED not in c.term.factors}
+        columns = [able[c.label] for c in _other_forms(full, effects, [c.component for c in able.values()])]
         for _ in range(state.settings.terms_most if columns else 0):
             best, explained = leader(state, [columns], [f.column for f in terms])
             if explained <= best.cost:

@@ -204,6 +204,9 @@ def test_a_form_that_explains_as_well_as_a_cause_is_its_rival(stated, diagnosed,
     assert found.probability == pytest.approx(probability)
     assert found.sure == (probability > 0.5)
     assert f"{form} would explain the data about as well" in told
+    # It is named only where it explains more than the form.
+    taken = decided.stand_ins([found], {}, (), {"thrust_scale": (form, less)})
+    assert decided.attributed([found], stand_ins=taken) == (((found,), (), ()) if less > 0.0 else ((), (), (found,)))
 
 
 SCORES = [Scores(0.5, 0.1, 0.5, r2) for r2 in (-0.04, -8.70)]
@@ -293,6 +296,9 @@ def test_the_verdict_rests_on_what_is_confirmed_and_likely():
     ("CLq", "pitch_rate_lift", 19.6, 1.1, {"CLq": 10.0}), ("CLq", "pitch_rate_lift", 5.0, 1.1, {}),
     # Of induced drag 1/e counts, which is zero without it: no wing has an e of 0.2, and 0.8 is that of most.
     ("e", "induced_drag", 0.2, 0.01, {"1/e": 3.0}), ("e", "induced_drag", 0.8, 0.01, {}),
+    # A stall is abrupt: its prior is 20/rad times or over e^0.7. Beyond three of these, X falls over 30 deg and more.
+    ("a1", "flow_separation", 1.34, 0.3, {"1/a1": pytest.approx(np.exp(2.1) / 20.0)}),
+    ("a1", "flow_separation", 4.0, 2.0, {}), ("a1", "flow_separation", 60.0, 20.0, {}),
 ])  # fmt: skip
 def test_sizes_that_no_aircraft_has_are_implausible(parameter, effect, mean, sd, largest):
     assert implausible(CATALOGUE[effect], {parameter: result.Size(mean, sd, "1")}) == largest
@@ -358,7 +364,7 @@ def test_what_stands_in_for_structure_tells_where_and_how_much(diagnosed):
     extensions = {found.stage: d.aerodynamics}
     for share, output, taken in ((0.01, "Cm", True), (0.01, "CL", False), (0.03, "Cm", False)):
         one = replace(found, own_share=share)
-        names = decided.stand_ins([one], extensions, {output})
+        names = decided.stand_ins([one], extensions, {output}, {})
         assert names == ((found.name,) if taken else ())
         assert decided.attributed([one], stand_ins=names) == (((), (), (one,)) if taken else ((one,), (), ()))
     # The hidden curvature of the pitching moment, as if five others explained it as well.
