@@ -490,7 +490,7 @@ def filtered_channels(flights: Flights) -> tuple[str, ...]:
 def noise_effect(state: SelectionState) -> tuple[Float[np.ndarray, " k"], ...]:
     """What recording noise does to each estimate of a fit at its optimum: its bias, and its standard deviation."""
     flights, rng, fit = state.responses.flights, np.random.default_rng(0), state.best
-    noise, parameters = state.responses.noisy, fit.columns < len(state.theta)
+    noise, parameters = flights.noise, fit.columns < len(state.theta)
     at = fit.columns[parameters]
 
     def step(extra: Mapping[str, np.ndarray], sign: float = 1.0) -> np.ndarray:

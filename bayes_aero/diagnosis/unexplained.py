@@ -672,7 +672,7 @@ def _other_forms(state: SelectionState, effects: Sequence[str], components: Sequ
 def _beside(
     state: SelectionState, reached: list[str], chosen: Sequence[SelectedTerm], effects: list[str], full: SelectionState
 ) -> list[SelectedTerm]:
-    """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
+    """Terms of the motion or its past, no other form of `effects`, that earn their cost beside those chosen."""
     terms = list(chosen)
     for name in reached:
         able = {c.component.label: c for c in columns_of(state, name) if shapes.SEPARATED not in c.term.factors}

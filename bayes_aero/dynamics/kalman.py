@@ -141,7 +141,7 @@ class FilterInputs(NamedTuple):
     then: dict[str, Array]
     measured: Float[Array, "*w n c"]
     variance: Float[Array, "*w n c"]
-    scale: Float[Array, "*w n c"]
+    scale: Float[Array, "*w n c"]  # derivatives of the corrected outputs by the recorded ones
     dt: Any
 
 
@@ -200,12 +200,7 @@ def kalman_filter(
 
     by_sample = (rows.now, rows.then, rows.measured), rows.variance, jnp.isfinite(rows.measured)
     found = jax.lax.scan(_recursion(outputs, motion, rows.dt), (rows.begin, rows.covariance), by_sample)[1]
-    return _recorded(found, rows.scale)
-
-
-def _recorded(found: Filtered, scale: Float[Array, "*w n c"]) -> Filtered:
-    """The same with innovations in recorded units; `scale`: derivatives of corrected outputs by the recorded ones."""
-    return found._replace(innovation=found.innovation / scale, variance=found.variance / scale**2)
+    return found._replace(innovation=found.innovation / rows.scale, variance=found.variance / rows.scale**2)
 
 
 def filter_segments(

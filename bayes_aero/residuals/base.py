@@ -46,18 +46,13 @@ class ResidualModel(ABC):
         flights = replace(self.flights, channels=dict(channels))  # pyright: ignore[reportArgumentType]
         return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
 
-    @property
-    def noisy(self) -> dict[str, float]:
-        """Deviation of the white noise of each recorded channel that may act as a regressor."""
-        return {name: sd for name, sd in self.flights.noise.items() if sd > 0.0}
-
     @cached_property
     def noise(self) -> dict[str, Float[np.ndarray, " n"]]:
         """A draw of the noise of each recorded channel on which the residuals depend; the same for all models."""
         # Which these are shows where all effects are in.
         rng, channels = np.random.default_rng(1), self.flights.channels
         theta = np.array([np.clip(p.start + p.prior.normal[1] / 10.0, *p.bounds) for p in self.model.free])
-        drawn = {name: sd * rng.standard_normal(self.flights.n) for name, sd in self.noisy.items()}
+        drawn = {n: sd * rng.standard_normal(self.flights.n) for n, sd in self.flights.noise.items() if sd > 0.0}
         each = [channels, *(channels | {name: channels[name] + x} for name, x in drawn.items())]
         whole, *parts = side_by_side(lambda x: self.with_channels(x).residuals(theta, self.outputs), each)
         felt = (not np.array_equal(part, whole) for part in parts)

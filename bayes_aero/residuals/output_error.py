@@ -195,11 +195,6 @@ class FilterError(OutputError):
     def added(self, theta: base.Theta) -> AddedToFilter:
         return AddedToFilter(self, theta)
 
-    @property
-    def noisy(self) -> dict[str, float]:
-        """Of inputs alone: the filter has noise of its own for the outputs."""
-        return {name: sd for name, sd in super().noisy.items() if name not in self.outputs}
-
     def residual(self, theta: Any, shared: Any) -> base.Residual:  # noqa: ARG002
         e = kalman.run_observer(self.flown, theta, self.by).innovation
         return self.whitened(theta, e[..., None])[..., 0]

@@ -26,7 +26,7 @@ from bayes_aero.diagnosis.selection_state import (
     SelectionState,
     linearised,
 )
-from bayes_aero.diagnosis.unexplained import NEAR, flown_forms, leader
+from bayes_aero.diagnosis.unexplained import NEAR, _beside, flown_forms, leader
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.kalman import filter_segments
 from bayes_aero.dynamics.segments import segments
@@ -188,9 +188,9 @@ def hfb320():
     return read_card("hfb320")
 
 
-def in_calm_air(card, truth) -> SelectionState:
+def in_calm_air(card, truth, **beyond) -> SelectionState:
     """Where a search without a catalogue begins, in two simulated flights, at the values without `truth`."""
-    flown = [gusty_flight(seed, gust={"w": 0.0, "u": 0.0}, truth=truth) for seed in TWO]
+    flown = [gusty_flight(seed, gust={"w": 0.0, "u": 0.0}, truth=truth, **beyond) for seed in TWO]
     records = [without_accelerometers(replace(r, name=f"run{k}")) for k, r in enumerate(flown)]
     model, flights = Model.from_card(card), join(records, card, FLIGHT)
     responses = OutputError.of(flights, aircraft_dynamics(model, flights))
@@ -213,6 +213,20 @@ def test_a_hidden_term_is_found_in_trajectories_and_their_silent_twins_have_none
     assert abs(term.size[0] - 0.15) < 1.96 * term.size[1]
     assert [(u.coefficient, u.channel) for u in searched.unknown] == [("Cm", "alpha^2")]
     assert silent.terms == ()
+
+
+def test_a_lift_that_follows_alpha_late_is_contested_by_a_lag_and_by_none_where_none_is_hidden(hfb320, calm):
+    """A lag of 0.44 s, 15 chords of 3 m at 104 m/s."""
+    last = [0.0, 0.1]
+
+    def late(t, _, alpha, *__):
+        last[:] = t, alpha + (last[1] - alpha) * np.exp((last[0] - t) / 0.44) if t > 0.0 else alpha
+        return 1.2 * (last[1] - alpha), 0.0, 0.0
+
+    lagging = in_calm_air(hfb320, {}, beyond=late)
+    first, none = ([t.column.term.name for t in _beside(x, ["CL"], (), [], x)] for x in (lagging, calm))
+    assert "lag(alpha, 15 c/V)" in first, first
+    assert none == []
 
 
 def test_the_leader_explains_as_much_as_a_regression_says_and_is_nothing_that_a_parameter_makes(calm):
