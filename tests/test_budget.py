@@ -10,17 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41984,
+    "bayes_aero: lines": 41999,
     "bayes_aero: files": 130,
-    "bayes_aero: private helpers used once": 229,
+    "bayes_aero: private helpers used once": 227,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 21795,
+    "tests: lines": 21812,
     "tests: files": 85,
-    "benchmarks: lines": 4500,
+    "benchmarks: lines": 4499,
     "benchmarks: files": 25,
     "benchmarks/README.md: lines": 250,
     "CHANGELOG.md: lines": 150,
-    "docs: words": 24971,
+    "docs: words": 24966,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

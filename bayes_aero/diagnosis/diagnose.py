@@ -65,9 +65,8 @@ def diagnose(
     else:
         candidates = causes_of(searched, {}, quiet)
     # Offsets between manoeuvres are in the model beside the causes.
-    shown = {u.coefficient for u in searched.unknown if not u.offsets}
-    taken = stand_ins(candidates, stages, shown, searched.forms)
-    causes, beyond, unnamed = attributed(candidates, settings, taken)
+    hardly = stand_ins(candidates, stages, {u.coefficient for u in searched.unknown if not u.offsets})
+    causes, beyond, unnamed = attributed(candidates, settings, hardly)
     effects = {e.name: e for e in searched.full.candidates}
     beyond = tuple(replace(c, wrong=wrong_channel(c, effects[c.name], card)) for c in beyond)
     causes = tuple(replace(c, beside_wrong=any(other.wrong for other in beyond)) for c in causes)
@@ -377,17 +376,11 @@ def wrong_channel(cause: result.Cause, effect: Effect, card: Card) -> result.Wro
 
 
 def stand_ins(
-    causes: Sequence[result.Cause],
-    extensions: Mapping[str, selection.Extension],
-    unnamed: Collection[str],
-    forms: Mapping[str, tuple[str, float]],
+    causes: Sequence[result.Cause], extensions: Mapping[str, selection.Extension], unnamed: Collection[str]
 ) -> tuple[str, ...]:
-    """Causes that a form of no catalogue explains at least as well, and those that the record hardly excites, where the
-    output that they move most has structure `unnamed`."""
-    # Small errors of the model change the estimates of the latter strongly, and there the model is shown to be wrong.
-    formed = {name for name, (_, less) in forms.items() if less <= 0.0}
-    hardly = (c.name for c in causes if c.hardly_excited and _output(extensions[c.stage], c.name) in unnamed)
-    return tuple(dict.fromkeys((*(c.name for c in causes if c.name in formed), *hardly)))
+    """Causes that the record hardly excites, where the output that they move most has structure `unnamed`."""
+    # Small errors of the model change their estimates strongly, and there the model is shown to be wrong.
+    return tuple(c.name for c in causes if c.hardly_excited and _output(extensions[c.stage], c.name) in unnamed)
 
 
 def _output(extension: selection.Extension, name: str, step: CandidateScore | None = None) -> str:

@@ -523,6 +523,12 @@ class _Model:
             curves = _other_forms(self.state, [name], curves)
         return _Model(state, terms, self.functions).curved(curves, shapes.waves(state, reached))
 
+    def lagging(self, name: str) -> _Model:
+        """That of `with_terms_for`, with lags beside its terms: they deny a cause its name, and replace none."""
+        model = self.in_place_of([name])[0]
+        reached = _reached(model.state, self.state, ())
+        return replace(model, terms=tuple(_beside(model.state, reached, model.terms, [name], self.state, _is_lag)))
+
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     """Terms for all structure that is `left`; periods have none."""
@@ -659,7 +665,11 @@ def _as_term(state: SelectionState, cause: str) -> Component | None:
 
 def _is_smooth(term: ProductTerm) -> bool:
     """Whether it is a function of the state of motion: memory and separated flow are none."""
-    return all(f.code is not None and f is not shapes.SEPARATED for f in term.factors)
+    return not _is_lag(term) and shapes.SEPARATED not in term.factors
+
+
+def _is_lag(term: ProductTerm) -> bool:
+    return any(factor.code is None for factor in term.factors)
 
 
 def _other_forms(state: SelectionState, effects: Sequence[str], components: Sequence[Component]) -> list[Component]:
@@ -670,13 +680,18 @@ def _other_forms(state: SelectionState, effects: Sequence[str], components: Sequ
 
 
 def _beside(
-    state: SelectionState, reached: list[str], chosen: Sequence[SelectedTerm], effects: list[str], full: SelectionState
+    state: SelectionState,
+    reached: list[str],
+    chosen: Sequence[SelectedTerm],
+    effects: list[str],
+    full: SelectionState,
+    able: Callable[[ProductTerm], bool] = _is_smooth,
 ) -> list[SelectedTerm]:
-    """Terms of the motion or its past, no other form of `effects`, that earn their cost beside those chosen."""
+    """Terms that are `able`, no other form of `effects`, and earn their cost beside those chosen, the best first."""
     terms = list(chosen)
     for name in reached:
-        able = {c.component.label: c for c in columns_of(state, name) if shapes.SEPARATED not in c.term.factors}
-        columns = [able[c.label] for c in _other_forms(full, effects, [c.component for c in able.values()])]
+        those = {c.component.label: c for c in columns_of(state, name) if able(c.term)}
+        columns = [those[c.label] for c in _other_forms(full, effects, [c.component for c in those.values()])]
         for _ in range(state.settings.terms_most if columns else 0):
             best, explained = leader(state, [columns], [f.column for f in terms])
             if explained <= best.cost:
@@ -717,7 +732,7 @@ SHOWN = 4  # parts of a form that are listed beside a cause
 def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> dict[str, tuple[str, float]]:
     """Forms of `others`, or in place of one cause, that explain as well as causes, and by how many nats less."""
     settings, rivals = best.state.settings, dict[str, tuple[str, float]]()
-    for other in (*others, *best.in_place_of(causes)):
+    for other in (*others, *best.in_place_of(causes), *side_by_side(best.lagging, causes)):
         gone = [name for name in causes if name not in other.state.active]
         had = {component.label for component in best.components}
         labels = [component.label for component in other.components if component.label not in had]

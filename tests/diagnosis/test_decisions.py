@@ -204,9 +204,6 @@ def test_a_form_that_explains_as_well_as_a_cause_is_its_rival(stated, diagnosed,
     assert found.probability == pytest.approx(probability)
     assert found.sure == (probability > 0.5)
     assert f"{form} would explain the data about as well" in told
-    # It is named only where it explains more than the form.
-    taken = decided.stand_ins([found], {}, (), {"thrust_scale": (form, less)})
-    assert decided.attributed([found], stand_ins=taken) == (((found,), (), ()) if less > 0.0 else ((), (), (found,)))
 
 
 SCORES = [Scores(0.5, 0.1, 0.5, r2) for r2 in (-0.04, -8.70)]
@@ -364,7 +361,7 @@ def test_what_stands_in_for_structure_tells_where_and_how_much(diagnosed):
     extensions = {found.stage: d.aerodynamics}
     for share, output, taken in ((0.01, "Cm", True), (0.01, "CL", False), (0.03, "Cm", False)):
         one = replace(found, own_share=share)
-        names = decided.stand_ins([one], extensions, {output}, {})
+        names = decided.stand_ins([one], extensions, {output})
         assert names == ((found.name,) if taken else ())
         assert decided.attributed([one], stand_ins=names) == (((), (), (one,)) if taken else ((one,), (), ()))
     # The hidden curvature of the pitching moment, as if five others explained it as well.

@@ -26,7 +26,7 @@ from bayes_aero.diagnosis.selection_state import (
     SelectionState,
     linearised,
 )
-from bayes_aero.diagnosis.unexplained import NEAR, _beside, flown_forms, leader
+from bayes_aero.diagnosis.unexplained import NEAR, _beside, _is_lag, flown_forms, leader
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.kalman import filter_segments
 from bayes_aero.dynamics.segments import segments
@@ -224,8 +224,8 @@ def test_a_lift_that_follows_alpha_late_is_contested_by_a_lag_and_by_none_where_
         return 1.2 * (last[1] - alpha), 0.0, 0.0
 
     lagging = in_calm_air(hfb320, {}, beyond=late)
-    first, none = ([t.column.term.name for t in _beside(x, ["CL"], (), [], x)] for x in (lagging, calm))
-    assert "lag(alpha, 15 c/V)" in first, first
+    first, none = ([t.column.term.name for t in _beside(x, ["CL"], (), [], x, _is_lag)] for x in (lagging, calm))
+    assert first[0] == "lag(alpha, 15 c/V)"
     assert none == []
 
 
