@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 41999,
+    "bayes_aero: lines": 42000,
     "bayes_aero: files": 130,
     "bayes_aero: private helpers used once": 227,
     "bayes_aero: class names with several meanings": 0,

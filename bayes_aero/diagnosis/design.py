@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -82,7 +82,7 @@ def next_test_points(
     theta: np.ndarray | None = None,
 ) -> TestPoints:
     """Choose them for ambiguity sets, at the sizes at which the effects of each are told apart, inside an envelope."""
-    names, responses = sorted(frozenset().union(*sets)), state.responses
+    names, responses = sorted(frozenset().union(*sets)), cast("EquationError", state.responses)
     state = replace(state, responses=replace(responses, path=flight_path(responses.flights)))  # it tells sensors apart
     effects, noise = {e.name: e for e in state.full.model.effects}, noise_of(state)
     chosen = [effects[name] for name in names]

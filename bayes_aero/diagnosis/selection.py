@@ -452,8 +452,7 @@ FILTERED = -0.5  # lag-1 correlation of third differences above which they are n
 
 
 def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
-    """Parameters (1/e for one of infinite neutral value, or one that is too small) with an estimate beyond the largest
-    plausible size; that."""
+    """Parameters beyond the largest plausible size, and that; 1/e for one infinite at neutral, or one too small."""
     exceeded = {}
     for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in sizes):
         largest, finite = effect.sizes[p.name][1], math.isfinite(p.neutral)
