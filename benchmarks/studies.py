@@ -118,6 +118,7 @@ def diagnosed(records: Sequence[FlightRecord], card: Card, seed: int = 0, **sett
         "verdict": found.verdict.value,
         "causes": {c.name: {p: [s.mean, s.sd] for p, s in c.parameters.items()} for c in found.causes},
         "ambiguous": {c.name: list(c.ambiguous_with) for c in found.causes},
+        "likely": [c.name for c in found.causes if c.likely],
         "minor": found.minor,
         "together": [list(pair.effects) for pair in found.together],
         "absorbed": [sorted(one.members) for one in found.absorbed],

@@ -225,7 +225,7 @@ def test_a_lift_that_follows_alpha_late_is_contested_by_a_lag_and_by_none_where_
 
     lagging = in_calm_air(hfb320, {}, beyond=late)
     first, none = ([t.column.term.name for t in _beside(x, ["CL"], (), [], x, _is_lag)] for x in (lagging, calm))
-    assert first[0] == "lag(alpha, 15 c/V)"
+    assert "lag(alpha, 15 c/V)" in first, first
     assert none == []
 
 
