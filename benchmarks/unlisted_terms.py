@@ -195,8 +195,7 @@ def report_any(rows: list[Row]) -> None:
             own = [r for r in rows if r["hidden"].startswith(kind) and r["air"].startswith("gusts") == (air == "gusts")]
             found = share(r["verdict"] in ("unexplained", "partly_explained") for r in own)
             print(f"{kind}, {air}: a wrong name {share(r['likely'] for r in own)}; called unexplained {found}")
-    wrong, listed = (share(r[key] for r in rows) for key in ("likely", "causes"))
-    print(f"all: a wrong name {wrong}; a cause listed, likelier than its rivals or not {listed}")
+    print(f"all: a wrong name {share(r['likely'] for r in rows)}; listed {share(r['causes'] for r in rows)}")
     for r in (r for r in rows if r["causes"]):
         print("  ", r["seed"], r["hidden"], r["air"], r["likely"], r["ambiguous"])
 

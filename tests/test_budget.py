@@ -16,7 +16,7 @@ LIMITS = {
     "bayes_aero: class names with several meanings": 0,
     "tests: lines": 21812,
     "tests: files": 85,
-    "benchmarks: lines": 4501,
+    "benchmarks: lines": 4500,
     "benchmarks: files": 25,
     "benchmarks/README.md: lines": 250,
     "CHANGELOG.md: lines": 150,
