@@ -130,7 +130,7 @@ class Search:
         full = selection_state.candidate_model(self.model, flights, self.extra, self.settings)
         mle = fit_mle(self.model, observe(self.records, self.card, self.model), seed=self.seed)
         theta = full.vector(dict(zip(mle.names, mle.estimate, strict=True)))
-        # Directions in which sensors are off cost half as much without the flight path, which has its own search.
+        # Sensitivities take two thirds of the time without the flight path, which has its own search.
         responses = replace(EquationError.of(flights, full.model), path=())
         stages = partial(search_in_stages, full, responses, theta, seed=self.seed, progress=self.progress)
         sensors, model, denied, unreliable = stages(self.contradiction)

@@ -458,7 +458,7 @@ def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
         largest, finite = effect.sizes[p.name][1], math.isfinite(p.neutral)
         if abs(p.away(sizes[p.name].mean, sizes[p.name].sd)[0]) > largest:
             exceeded[p.name if finite else f"1/{p.name}"] = largest
-        elif finite and p.prior.family == "lognormal":  # a stall so gradual is none
+        elif finite and p.prior.family == "lognormal":  # the distance from neutral does not say what is too small
             least = p.prior.location * math.exp(-LOW * p.prior.scale)
             exceeded |= {f"1/{p.name}": 1.0 / least} if sizes[p.name].mean < least else {}
     return exceeded

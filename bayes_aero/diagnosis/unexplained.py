@@ -524,7 +524,7 @@ class _Model:
         return _Model(state, terms, self.functions).curved(curves, shapes.waves(state, reached))
 
     def lagging(self, name: str) -> _Model:
-        """That of `with_terms_for`, with lags beside its terms: they deny a cause its name, and replace none."""
+        """The model of `with_terms_for` with lags beside its terms. Lags are rivals of a cause and replace none."""
         model = self.in_place_of([name])[0]
         reached = _reached(model.state, self.state, ())
         return replace(model, terms=tuple(_beside(model.state, reached, model.terms, [name], self.state, _is_lag)))

@@ -293,7 +293,7 @@ def test_the_verdict_rests_on_what_is_confirmed_and_likely():
     ("CLq", "pitch_rate_lift", 19.6, 1.1, {"CLq": 10.0}), ("CLq", "pitch_rate_lift", 5.0, 1.1, {}),
     # Of induced drag 1/e counts, which is zero without it: no wing has an e of 0.2, and 0.8 is that of most.
     ("e", "induced_drag", 0.2, 0.01, {"1/e": 3.0}), ("e", "induced_drag", 0.8, 0.01, {}),
-    # A stall is abrupt: its prior is 20/rad times or over e^0.7. Beyond three of these, X falls over 30 deg and more.
+    # A stall is abrupt: 20/rad times or over e^0.7. At three of these X falls from 0.9 to 0.1 over 51 deg.
     ("a1", "flow_separation", 1.34, 0.3, {"1/a1": pytest.approx(np.exp(2.1) / 20.0)}),
     ("a1", "flow_separation", 4.0, 2.0, {}), ("a1", "flow_separation", 60.0, 20.0, {}),
 ])  # fmt: skip
