@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import gc
 import hashlib
 import os
+import pickle
 import platform
 import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import fields, is_dataclass
+from enum import Enum
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
+from types import FunctionType, MethodType, NoneType
 from typing import Any, TypeVar
 
+import numpy as np
 import platformdirs
 from threadpoolctl import ThreadpoolController
+
+from bayes_aero.atomic_write import write_whole
 
 MAPPINGS, LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 MAX_SHARE = 0.6  # of the memory mappings; the next task may take as much as a whole diagnosis, a tenth
@@ -30,6 +39,8 @@ def give_back_memory() -> None:
     import jax  # takes seconds, and the cache is chosen before
 
     jax.clear_caches()
+    for program in _programs:
+        program.made.clear()
     gc.collect()
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
@@ -48,13 +59,179 @@ def keep_freed_memory() -> None:
             mallopt(option, value)
 
 
-def compiled_at(level: int) -> Callable[[Callable], Any]:
-    """`equinox.filter_jit` at a level of optimisation, not to be called inside another compiled program. 0 compiles in
-    half the time and runs up to five times slower; 1 runs as JAX's default does, compiled in three quarters of it."""
-    import equinox  # it takes seconds
-
+def compiled_at(level: int) -> Callable[[Callable], Program]:
+    """A `Program` at a level of optimisation: 0 compiles in half the time and runs up to five times slower; 1 runs as
+    JAX's default does, compiled in three quarters of it."""
     more = {} if level else {"xla_cpu_use_fusion_emitters": False}
-    return equinox.filter_jit(compiler_options={"xla_backend_optimization_level": level, **more})  # pyright: ignore
+    return lambda function: Program(function, {"xla_backend_optimization_level": level, **more})
+
+
+_COUNTING = threading.Lock()
+_programs: list[Program] = []
+_kept: list[float] = []  # JAX's least time of what it keeps, and a place for each program that is being compiled
+
+
+class Program:
+    """A function compiled by JAX for each kind of arguments, of which all but arrays is constant; inside another, its
+    part. Compiled programs are kept on disk, so that no other process traces or compiles them again."""
+
+    def __init__(self, function: Callable, options: dict[str, Any] | None = None) -> None:
+        self.function, self.options, self.making = function, options, threading.RLock()
+        self.made = dict[Any, tuple[Any, Any]]()
+        functools.update_wrapper(self, function)
+        _programs.append(self)
+
+    def __call__(self, *args: Any) -> Any:
+        import jax  # it takes seconds
+        from jax.core import Tracer
+
+        leaves, structure = jax.tree.flatten(args)
+        places = [k for k, x in enumerate(leaves) if isinstance(x, jax.Array | np.ndarray | np.generic)]
+        arrays = [leaves[k] for k in places]
+        if any(isinstance(x, Tracer) for x in arrays):
+            return self.function(*args)
+        for k in places:
+            leaves[k] = None
+        key = structure, tuple(leaves), tuple((x.shape, x.dtype) for x in arrays)
+        if (made := self.made.get(key)) is None:
+            with self.making:
+                if (made := self.made.get(key)) is None:
+                    made = self.made[key] = self._loaded(args, arrays, places)
+        program, result = made
+        return jax.tree.unflatten(result, program(arrays))
+
+    def _loaded(self, args: Any, arrays: list[Any], places: list[int]) -> tuple[Any, Any]:
+        """The compiled program, from the disk where it is there, and the structure of its results."""
+        import jax
+        from jax.experimental.serialize_executable import deserialize_and_load, serialize
+
+        leaves, structure = jax.tree.flatten(args)
+        result: Any = None
+
+        def traced(arrays: list[Any]) -> list[Any]:
+            nonlocal result
+            for place, array in zip(places, arrays, strict=True):
+                leaves[place] = array
+            made, result = jax.tree.flatten(self.function(*jax.tree.unflatten(structure, leaves)))
+            return made
+
+        path = self._path(args)
+        traced.__name__ = self.function.__qualname__ + ("" if path is None else f"_{path.stem[:8]}")
+        if path is not None and path.is_file():
+            with suppress(Exception):  # of a file that is not whole; it is made again
+                code, blank = pickle.loads(path.read_bytes())
+                result = jax.tree.structure(blank)
+                trees = jax.tree.structure(((arrays,), {})), jax.tree.structure([0] * result.num_leaves)
+                _ready()
+                return deserialize_and_load(code, *trees), result
+        program = jax.jit(traced, compiler_options=self.options).lower(arrays)
+        if path is None:
+            return program.compile(), result
+        with _kept_once():
+            compiled = program.compile()
+        # A program of which JAX cannot make a file, or a full disk, costs the next process the time to compile it.
+        with suppress(OSError, ValueError, TypeError, AttributeError, NotImplementedError, pickle.PicklingError):
+            content = pickle.dumps((serialize(compiled)[0], jax.tree.unflatten(result, [0] * result.num_leaves)))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(content, path)
+        return compiled, result
+
+    def _path(self, args: Any) -> Path | None:
+        """The file of a program; None where programs are not kept, or another process could not know it again."""
+        import jax
+
+        if not (root := os.environ.get(FOLDER)):
+            return None
+        what = hashlib.sha256(_version())
+        try:
+            _describe((self.function, self.options, str(jax.dtypes.canonicalize_dtype(float))), what.update, traced=False)
+            _describe(args, what.update, traced=True)
+        except _UnknownError:
+            return None
+        return Path(root) / PROGRAMS / f"{what.hexdigest()}.bin"
+
+
+LEAST_TIME = "jax_persistent_cache_min_compile_time_secs"
+SENTINELS = "equinox._module._flatten"  # of the fields that a module lacks
+
+
+@cache
+def _ready() -> None:
+    """JAX gives its compiled programs the functions of LAPACK when it first lowers a program that calls one."""
+    import jax
+
+    jax.jit(jax.numpy.linalg.cholesky).lower(np.eye(1))
+
+
+@contextmanager
+def _kept_once() -> Iterator[None]:
+    """JAX's own cache does not keep what is compiled here: from what it gives back no file can be made."""
+    import jax
+
+    with _COUNTING:
+        if not _kept:
+            _kept.append(getattr(jax.config, LEAST_TIME))
+            jax.config.update(LEAST_TIME, 1e9)
+        _kept.append(0.0)
+    try:
+        yield
+    finally:
+        with _COUNTING:
+            _kept.pop()
+            if len(_kept) == 1:
+                jax.config.update(LEAST_TIME, _kept.pop())
+
+
+class _UnknownError(Exception):
+    """Of a value that may mean something else in another process."""
+
+
+def _describe(x: Any, tell: Callable[[bytes], Any], *, traced: bool) -> None:
+    """Tell all that a compiled program depends on, in the same words in every process: of `traced` arrays the kind."""
+    import jax
+
+    parts: Any = ()
+    if traced and (node := jax.tree_util.default_registry.flatten_one_level(x)) is not None:
+        _describe((type(x), len(node[0]), node[1]), tell, traced=False)
+        for part in node[0]:
+            _describe(part, tell, traced=True)
+        return
+    if isinstance(x, jax.Array | np.ndarray | np.generic):
+        parts = (x.shape, x.dtype.str, None if traced else np.asarray(x).tobytes())
+    elif isinstance(x, NoneType | bool | int | float | complex | str | bytes) or type(x).__module__ == SENTINELS:
+        tell(f"{type(x).__name__}{x!r}".encode())
+        return
+    elif isinstance(x, type | Enum | np.ufunc):
+        parts = (getattr(x, "__module__", ""), getattr(x, "__qualname__", str(x)))
+    elif isinstance(x, tuple | list):
+        parts = x
+    elif isinstance(x, Mapping):
+        parts = [y for pair in x.items() for y in pair]
+    elif isinstance(x, FunctionType):
+        if x.__module__.partition(".")[0] != __package__:  # the version does not tell of a user's file
+            raise _UnknownError(x)
+        place, cells = next(iter(x.__code__.co_positions()), None), [c.cell_contents for c in x.__closure__ or ()]
+        parts = (x.__module__, x.__qualname__, place, x.__defaults__, x.__kwdefaults__, cells)  # of several on one line
+    elif isinstance(x, functools.partial | MethodType):
+        parts = x.__reduce__()[1:]
+    elif is_dataclass(x):
+        parts = [getattr(x, field.name) for field in fields(x)]
+    else:
+        raise _UnknownError(x)
+    tell(f"{type(x).__module__}.{type(x).__qualname__}{len(parts)}(".encode())
+    for part in parts:
+        _describe(part, tell, traced=False)
+    tell(b")")
+
+
+@cache
+def _version() -> bytes:
+    """The package's source, the libraries that compile it, what they are told, and for which processor."""
+    what = hashlib.sha256((os.environ.get("XLA_FLAGS", "") + processor()).encode())
+    what.update(" ".join([sys.version, *map(version, ("jax", "jaxlib", "equinox", "numpy"))]).encode())
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        what.update(path.read_bytes())
+    return what.digest()
 
 
 def full_of_programs() -> bool:
@@ -70,7 +247,7 @@ def full_of_programs() -> bool:
 
 # --- The cache of compiled programs on disk, shared between processes.
 
-CACHE = "BAYES_AERO_CACHE"
+CACHE, PROGRAMS = "BAYES_AERO_CACHE", "programs"
 FOLDER = "JAX_COMPILATION_CACHE_DIR"
 MIN_SECONDS = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
 SECONDS = "0.2"  # s of compilation: half of a command's, in a tenth of the files
@@ -82,12 +259,15 @@ def cache_folder() -> Path:
     if given := os.environ.get(FOLDER):
         return Path(given)
     root = Path(os.environ.get(CACHE) or platformdirs.user_cache_path("bayes_aero"))
+    return root / "compiled" / f"{platform.machine()}-{hashlib.sha256(processor().encode()).hexdigest()[:8]}"
+
+
+def processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        described = "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
+        return "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
     except OSError:
-        described = platform.processor()
-    return root / "compiled" / f"{platform.machine()}-{hashlib.sha256(described.encode()).hexdigest()[:8]}"
+        return platform.processor()
 
 
 def enable_cache() -> None:

@@ -24,6 +24,7 @@ from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
 from bayes_aero.processes import side_by_side
 from bayes_aero.progress import Progress, quiet
+from bayes_aero.residuals.base import ResidualModel
 
 OF_NOISE = 0.5  # largest share of an addition that noise may make: beyond, it would take over its regressor's own slope
 
@@ -514,19 +515,20 @@ def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
     # times what is read off as white. Source: Klepper and Leamer, Econometrica 52 (1984) 163.
     fit, keep, parameters = state.best, state.kept_outputs, state.best.columns < len(state.theta)
     at, additions = fit.columns[parameters], state.full.own_columns(*state.active)
-    covariance = inverse(fit.normal)[np.isin(fit.columns, additions)]
-    S, weight = state.scaled[state.inside][:, :, fit.columns], 1.0 / fit.variance
-    channels, noise = state.responses.flights.channels, state.responses.noise
+    covariance = inverse(fit.normal)[np.isin(fit.columns, additions)][:, parameters]
+    directions = np.zeros((len(covariance), len(state.theta)))
+    directions[:, at] = covariance
+    S, weight = state.scaled[state.inside][:, :, at] @ covariance.T, 1.0 / fit.variance
+    noisy = state.responses.noisy.values()
 
-    def made(name: str) -> tuple[np.ndarray, np.ndarray]:
+    def made(noisy: ResidualModel) -> tuple[np.ndarray, np.ndarray]:
         """What noise of one channel adds to the outputs' variances, and its bias of the additions."""
-        noisy = state.responses.with_channels(channels | {name: channels[name] + noise[name]})
-        residual, slopes = noisy.linearise(state.theta, at)
+        residual, slopes = noisy.along(state.theta, directions)
         dr = ((residual[:, keep] - state.residual) / state.noise_growth)[state.inside]
-        dS = (slopes[:, keep] / state.noise_growth[:, :, None])[state.inside] - S[:, :, parameters]
-        return np.mean(dr**2, axis=0) * weight, covariance[:, parameters] @ np.tensordot(dr * weight, dS, 2)
+        dS = (slopes[:, keep] / state.noise_growth[:, :, None])[state.inside] - S
+        return np.mean(dr**2, axis=0) * weight, np.tensordot(dr * weight, dS, 2)
 
-    added, biases = zip(*side_by_side(made, noise), strict=True) if noise else ((), ())
+    added, biases = zip(*side_by_side(made, noisy), strict=True) if noisy else ((), ())
     if not np.any(added):
         return {}
     scale = np.maximum(np.max(added, axis=1), 1e-12)  # a channel that adds to no output has no bias either

@@ -385,39 +385,37 @@ class Products:
         j, k = columns.shape
         full = np.concatenate([np.zeros((j, 1), int), columns + 1], axis=1)
         part = np.moveaxis(gram[:, full[:, :, None], full[:, None, :]], 0, 1)  # j c k+1 k+1
-        least = np.maximum(ROUNDING * part[:, :, 0, 0] / n, TINY)  # records without noise leave less than rounding does
-        weights, centre = precision[columns], mean[columns]
+        squares, weights, centre = part[:, :, 0, 0] / n, precision[columns], mean[columns]
+        ridge, prior = RIDGE * np.eye(k), np.eye(k) * weights[:, None, :]
 
         def stepped(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """Step and normal matrix for (j, k+1, k+1) products of samples that are divided by their deviations."""
-            normal = information[:, 1:, 1:] + np.eye(k) * weights[:, None, :]
-            scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), TINY))
-            scaled = normal * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(k)
-            right = (information[:, 1:, 0] + weights * centre) * scale
-            return scale * np.linalg.solve(scaled, right[:, :, None])[:, :, 0], normal
+            """Steps and normal matrices for (s, j, k+1, k+1) products of samples divided by their deviations."""
+            normal = information[..., 1:, 1:] + prior
+            scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), TINY))
+            scaled = normal * scale[..., :, None] * scale[..., None, :] + ridge
+            right = (information[..., 1:, 0] + weights * centre) * scale
+            return scale * np.linalg.solve(scaled, right[..., None])[..., 0], normal
 
         def variance_of(step: np.ndarray) -> np.ndarray:
-            """Mean squares (j, c) that a step of all outputs (j, 1, k), or one of each (j, c, k), leaves."""
-            v = np.concatenate([np.ones((*step.shape[:2], 1)), -step], axis=2)
-            return np.maximum((v[:, :, None, :] @ (part @ v[:, :, :, None]))[:, :, 0, 0] / n, least)
-
-        def settled(variance: np.ndarray) -> tuple[np.ndarray, ...]:
-            for _ in range(ROUNDS if held is None else 1):
-                step, normal = stepped(np.einsum("jc,jckl->jkl", 1.0 / variance, part))
-                variance = variance_of(step[:, None, :]) if held is None else variance
-            deviance = n * np.log(variance).sum(axis=1) + np.sum(weights * (step - centre) ** 2, axis=1)
-            return step, normal, variance, deviance
+            """Mean squares (s, j, c) that steps of all outputs (s, j, 1, k), or one of each (s, j, c, k), leave."""
+            v = np.concatenate([np.ones((*step.shape[:-1], 1)), -step], axis=-1)
+            left = (v[..., None, :] @ (part @ v[..., None]))[..., 0, 0] / n
+            return np.maximum(left, np.maximum(ROUNDING * squares, TINY))  # records without noise leave less
 
         if held is not None:
-            return settled(np.tile(held, (j, 1)))
-        # Where a form is wrong, the variances may settle with one output given up for another. So they begin as what is
-        # there, and as what each output alone can be fitted to.
-        begin = np.maximum(part[:, :, 0, 0] / n, TINY)
-        alone = [stepped(part[:, c] / begin[:, c, None, None])[0] for c in range(part.shape[1])]
-        first, second = settled(begin), settled(variance_of(np.stack(alone, axis=1)))
-        better = second[3] < first[3]
-        pairs = zip(first, second, strict=True)
-        return tuple(np.where(better.reshape(-1, *[1] * (x.ndim - 1)), y, x) for x, y in pairs)
+            variance, rounds = np.broadcast_to(held, (1, j, len(held))), 1
+        else:
+            # Where a form is wrong, the variances may settle with one output given up for another. So they begin as
+            # what is there, and as what each output alone can be fitted to; all are settled side by side.
+            begin = np.maximum(squares, TINY)
+            alone = stepped(np.moveaxis(part / begin[:, :, None, None], 1, 0))[0]  # c j k
+            variance, rounds = np.concatenate([begin[None], variance_of(np.moveaxis(alone, 0, 1)[None])]), ROUNDS
+        for _ in range(rounds):
+            step, normal = stepped(np.einsum("sjc,jckl->sjkl", 1.0 / variance, part))
+            variance = variance_of(step[:, :, None, :]) if held is None else variance
+        deviance = n * np.log(variance).sum(axis=2) + np.sum(weights * (step - centre) ** 2, axis=2)
+        best = np.argmin(deviance, axis=0), np.arange(j)
+        return step[best], normal[best], variance[best], deviance[best]
 
     def fit(
         self, columns: Columns, mean: np.ndarray, precision: np.ndarray, held: Float[np.ndarray, " c"] | None = None

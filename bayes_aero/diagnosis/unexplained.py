@@ -458,10 +458,13 @@ class _Model:
             kept[item] = moved(state, state.theta, apart=apart) if item in state.apart else removed(state, item)
         return replace(self, state=kept[item])
 
-    def beyond(self, other: _Model) -> float:
-        """Nats by which it explains more than another, the costs of both counted."""
+    def beyond(self, other: _Model, least: float = -math.inf) -> float:
+        """Nats by which it explains more than another, costs counted; at most these where not above `least`."""
         # What tells the two apart is the residual along the difference of what they explain.
         state, fits, lefts = self.state, (self.fitted[0], other.fitted[0]), (self.fitted[1], other.fitted[1])
+        most = nats(fits[1].deviance - fits[0].deviance, 1.0) - self.cost + other.cost
+        if most <= least:
+            return most
         better = int(fits[1].deviance < fits[0].deviance)
         D, weight = np.where(state.inside[:, None], lefts[0] - lefts[1], 0.0)[:, :, None], 1.0 / fits[better].variance
         colour, left = screening.autocorrelation_of(lefts[better], state.folds), (lefts[better], state.responses.parts)
@@ -482,8 +485,8 @@ class _Model:
         model, plain = self, self.curved(curves) if waves else self
         for curve in (*waves, *curves):
             wider = replace(model, functions=(*model.functions, curve))
-            model = wider if wider.beyond(model) > 0.0 else model
-        return model if not waves or model.beyond(plain) > 0.0 else plain
+            model = wider if wider.beyond(model, 0.0) > 0.0 else model
+        return model if not waves or model.beyond(plain, 0.0) > 0.0 else plain
 
     def refitted(self) -> _Model:
         return replace(self, state=moved(self.state, selection_state.optimum(self.wide, range(len(self.state.folds)))))
@@ -497,7 +500,7 @@ class _Model:
             others = [_other_forms(model.state, [item], curves) for item in inside]
             rivals = [replace(x, functions=tuple(c)) for x, c in zip(trials, others, strict=False)]
             rivals += trials[len(inside) :]
-            gains = [rival.beyond(model) for rival in rivals]
+            gains = [rival.beyond(model, 0.0) for rival in rivals]
             if not gains or max(gains) <= 0.0:
                 return model.curved(curves)
             best = trials[int(np.argmax(gains))]
@@ -620,7 +623,8 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
         while better:  # terms in place of one cause after another, as long as they are decisively better
             model = max(better, key=lambda pair: pair[0])[1]
             others = model.in_place_of([name for name in causes if name in model.state.active])
-            better = [(x, other) for other in others if (x := other.beyond(model)) > state.settings.decisive]
+            least = state.settings.decisive
+            better = [(x, other) for other in others if (x := other.beyond(model, least)) > least]
         tried.append(model.eliminated(items, curves))
         best = _best_model(start, tried)
     idle = _idle(replace(best, functions=()), curves)
@@ -644,7 +648,15 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
 def _without(state: SelectionState, effects: Sequence[str], apart: tuple[str, ...]) -> SelectionState:
     """The state without some of its additions and of its offsets, at the optimum of what is left."""
     kept = tuple(name for name in state.active if name not in effects)
-    return refitted(moved(state, state.full.at_neutral(state.theta, effects), kept, apart))
+    theta, gone = state.full.at_neutral(state.theta, effects), [e for e in effects if e in state.active]
+    if apart == state.apart and gone:  # from where the others go to first order, fewer steps are left
+        less = state.without(gone)
+        at = less.best.columns < len(theta)
+        bounds = np.array([p.bounds for p in state.full.model.free])[less.best.columns[at]].T
+        begin = theta.copy()
+        begin[less.best.columns[at]] = np.clip(theta[less.best.columns[at]] + less.best.step[at], *bounds)
+        theta = begin
+    return refitted(moved(state, theta, kept, apart))
 
 
 def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]) -> list[str]:
@@ -716,11 +728,12 @@ def _best_model(start: _Model, models: Sequence[_Model]) -> _Model:
 
     def able(model: _Model) -> bool:
         """Whether terms replace something, are identified within manoeuvres, and predict hold-out data no worse."""
-        if not model.beyond(start) > start.state.settings.decisive:
+        least = start.state.settings.decisive
+        if not model.beyond(start, least) > least:
             return False
         inside = replace(model, state=moved(model.state, model.state.theta, apart=start.state.apart))
         fewer = model.state.active != start.state.active or model.state.apart != start.state.apart
-        there = inside.beyond(replace(inside, terms=(), functions=())) > 0.0
+        there = inside.beyond(replace(inside, terms=(), functions=()), 0.0) > 0.0
         return bool(fewer) and there and not inside.degrades(start)
 
     return max(filter(able, models), key=lambda model: model.beyond(start), default=start)

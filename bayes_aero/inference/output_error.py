@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,7 +37,7 @@ from bayes_aero.inference.optimise import (
 )
 from bayes_aero.inference.results import Inseparable, OutputErrorStatus, inseparable
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.processes import compiled_at, side_by_side
+from bayes_aero.processes import Program, compiled_at, side_by_side
 
 OfStates = Float[np.ndarray, "w s"]
 
@@ -81,7 +80,7 @@ class NormalPriors:
         return cls(pairs[:, 0], *precisions, weight, flown.fixed is not None)
 
 
-@eqx.filter_jit
+@Program
 def _inner_products(flown: SegmentTrajectories, theta: Float[AnyArray, " k"], departure: Float[AnyArray, "w s"]):
     """Gram matrices, samples inside the envelope, and columns; forward sensitivities, all directions at once."""
     k, s = theta.shape[0], departure.shape[1]
@@ -100,8 +99,7 @@ def _inner_products(flown: SegmentTrajectories, theta: Float[AnyArray, " k"], de
 class NormalEquations:
     """Normal equations of one set of segments, evaluated at many points; the segments are divided among the cores."""
 
-    # The first evaluation takes the parts one by one, so that only one thread compiles. A part without samples is not
-    # simulated.
+    # A part without samples is not simulated.
     def __init__(self, flown: SegmentTrajectories, prior: NormalPriors):
         self.prior = prior
         self.count = flown.inside.sum(axis=1).astype(float)
@@ -112,7 +110,6 @@ class NormalEquations:
             for number, rows in enumerate(self._rows)
             if flown.inside[rows].any()
         }
-        self._compiled = False
 
     def evaluate(self, theta: Vector, departure: OfStates) -> Point:
         def products(number: int) -> tuple[np.ndarray, ...]:
@@ -121,9 +118,7 @@ class NormalEquations:
             begin = departure[self._rows[number]]
             return tuple(np.asarray(x) for x in _inner_products(self._parts[number], theta, begin))
 
-        every = range(len(self._rows))
-        evaluated = side_by_side(products, every) if self._compiled else list(map(products, every))
-        self._compiled = True
+        evaluated = side_by_side(products, range(len(self._rows)))
         zeros = tuple(np.zeros_like(x) for x in next(filter(None, evaluated)))
         every_part = zip(*(part or zeros for part in evaluated), strict=True)
         gram, within, columns = (np.concatenate(x)[: len(departure)] for x in every_part)

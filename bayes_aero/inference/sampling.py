@@ -8,26 +8,26 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import arviz_base as azb
-import arviz_stats as azs
-import emcee
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pandas as pd
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Bool, Float
-from numpyro.infer.hmc import HMCState, hmc
 from scipy import optimize
 from scipy.stats import binom, norm
 
 from bayes_aero.inference import results
 from bayes_aero.model.observations import Colour, Density, LogDensity, Noise
-from bayes_aero.processes import side_by_side
+from bayes_aero.processes import Program, side_by_side
 from bayes_aero.progress import Progress, quiet
+
+if TYPE_CHECKING:  # they take most of a second to load, which fits without a posterior do without
+    import emcee
+    import pandas as pd
+    from numpyro.infer.hmc import HMCState
 
 PRIOR_DRAWS, MIN_DRAWS = 8, 2  # of the prior, from which other modes are sought
 MAX_SAMPLES_TIMES_DRAWS = 48_000  # fewer draws are used for longer records
@@ -65,7 +65,7 @@ class PosteriorMode:
         return self.u + v @ self.factor.T
 
 
-@eqx.filter_jit
+@Program
 def _value_and_gradient(density: LogDensity, u: Float[Array, " k"]):
     return jax.value_and_grad(type(density).__call__, argnums=1)(density, u)
 
@@ -192,13 +192,15 @@ STEPS_PER_CALL = 100
 AUTOCORRELATION_TIMES = 30  # length of a run from which the estimate of its autocorrelation time is used
 
 
-@eqx.filter_jit
+@Program
 def _log_density(density: LogDensity, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]):
     return jax.vmap(lambda row: density(u + factor @ row))(v)
 
 
 def _independence_move(centre: np.ndarray, factor: np.ndarray) -> emcee.moves.MHMove:
     """Metropolis-Hastings moves proposed from one multivariate Student t, the same for every walker."""
+    from emcee.moves import MHMove
+
     inverse = np.linalg.inv(factor)
 
     def log_density(v: np.ndarray) -> np.ndarray:
@@ -211,7 +213,7 @@ def _independence_move(centre: np.ndarray, factor: np.ndarray) -> emcee.moves.MH
         proposed = centre + (normal * spread) @ factor.T
         return proposed, log_density(coords) - log_density(proposed)
 
-    return emcee.moves.MHMove(propose)
+    return MHMove(propose)
 
 
 class EnsembleLength(NamedTuple):
@@ -232,6 +234,8 @@ def _burnt_in(
     density: LogDensity, mode: PosteriorMode, seed: int, length: EnsembleLength
 ) -> list[emcee.EnsembleSampler]:
     """Independent ensembles after their burn-in and their first steps."""
+    import emcee
+
     size, walkers = density.size, length.walkers or 2 * (density.size + 2)
     frame = jnp.asarray(mode.u), jnp.asarray(mode.factor)
 
@@ -273,12 +277,14 @@ def sample_ensemble(
     predictive: bool = True,
 ) -> results.Posterior:
     """Sample until ESS and R-hat reach their targets and the run spans many autocorrelation times."""
+    from emcee.autocorr import integrated_time
+
     began = time.perf_counter()
     samplers = _burnt_in(density, mode, seed, length)
     while True:
         steps, chain = samplers[0].iteration, np.concatenate([np.asarray(s.get_chain()) for s in samplers], axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):  # of the slowest parameter, in steps
-            tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
+            tau = float(np.max(integrated_time(chain, tol=0, quiet=True)))
         tau = tau if np.isfinite(tau) else np.inf  # as when a walker has never moved
         progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
         if steps >= AUTOCORRELATION_TIMES * tau or steps >= length.max_steps:
@@ -319,6 +325,9 @@ class Drawn(NamedTuple):
 
 def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -> dict[str, results.Marginal]:
     """Marginal summaries with ArviZ's rank-normalised R-hat and bulk effective sample size."""
+    import arviz_base as azb
+    import arviz_stats as azs
+
     dataset = azb.from_dict({"posterior": {name: draws[..., i] for i, name in enumerate(names)}})["posterior"].dataset
     ess, tail, rhat = azs.ess(dataset), azs.ess(dataset, method="tail"), azs.rhat(dataset)
     marginals = {}
@@ -335,13 +344,13 @@ def converged(marginals: dict[str, results.Marginal]) -> bool:
     return all(m.ess >= TARGET_ESS and m.rhat <= TARGET_RHAT for m in marginals.values())
 
 
-@eqx.filter_jit
+@Program
 def constrain_draws(density: LogDensity, u: Float[Array, "chain draw k"]) -> Float[Array, "chain draw k"]:
     """x of every u."""
     return jax.vmap(jax.vmap(density.constrain))(u)
 
 
-@eqx.filter_jit
+@Program
 def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m n c"]):
     return jax.lax.map(lambda pair: (density.pointwise(pair[0]), density.replicate(*pair)), (x, white))
 
@@ -350,6 +359,8 @@ def assemble(
     density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, predictive: bool = True
 ) -> results.Posterior:
     """Turn draws of x into a `Posterior`."""
+    import arviz_base as azb
+
     # The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
     # thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
     # samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
@@ -410,13 +421,15 @@ class NutsLength(NamedTuple):
 @cache
 def _kernel(length: NutsLength):
     """NumPyro's functional NUTS, with the data as arguments: MCMC would compile again for every data set and chain."""
+    from numpyro.infer.hmc import hmc
+
     # One for each length of the warm-up, which the kernel stores when it starts.
     del length
     potential = lambda density, centre, factor: lambda v: -density(centre + factor @ v)  # noqa: E731
     return hmc(potential_fn_gen=potential, algo="NUTS")
 
 
-@eqx.filter_jit
+@eqx.filter_jit  # not kept on disk: tracing it gives the kernel the length of the warm-up
 def _start_chain(target: Target, length: NutsLength, key: Array, v: Float[Array, " k"]) -> HMCState:
     key, _ = jax.random.split(key)  # as numpyro's NUTS does: the same draws
     adapted: Any = {"dense_mass": length.metric, "adapt_mass_matrix": length.metric}
@@ -505,7 +518,7 @@ def pit_of(run: results.Identification) -> results.PitResult | None:
     return results.PitResult(engine, values, bars, correlation)
 
 
-@eqx.filter_jit
+@Program
 def _mean_probability(density: Density, x: Float[Array, "m k"]) -> Float[Array, "n c"]:
     # Noise is normal given the parameters, so each draw's probability is exact and their mean has no steps of 1/m.
     add = lambda total, row: (total + ndtr(density.standardised(row)), None)  # noqa: E731
@@ -545,6 +558,10 @@ SENSITIVITY_LIMIT = 0.05  # distance per log2 of the power from which a posterio
 
 def prior_sensitivity(density: LogDensity, posterior: results.Posterior) -> pd.DataFrame:
     """A row per parameter: sensitivity to the prior and to the likelihood, and whether it leans on the prior."""
+    import arviz_base as azb
+    import arviz_stats as azs
+    import pandas as pd
+
     # All priors are scaled together. `posterior` is one of `density`. The Monte Carlo error of the sensitivities is
     # about 0.01 for some thousand draws.
     tree = posterior.tree["posterior"].to_dataset()
@@ -560,7 +577,7 @@ def prior_sensitivity(density: LogDensity, posterior: results.Posterior) -> pd.D
     return pd.DataFrame.from_dict(leaning, orient="index")
 
 
-@eqx.filter_jit
+@Program
 def _prior_and_likelihood(density: LogDensity, x: Float[Array, "chain draw k"]) -> tuple[Array, Array]:
     terms = lambda row: (density.log_prior(row), density.log_likelihood(row))  # noqa: E731
     return jax.lax.map(lambda chain: jax.lax.map(terms, chain), x)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from msgspec import UNSET
 
 from bayes_aero.atomic_write import write_whole
@@ -37,6 +36,9 @@ from bayes_aero.report.pages.estimates import flown
 from bayes_aero.report.pages.fly import parameter_rows
 from bayes_aero.report.pages.identification import next_flight_table, parameter_table, validation_table
 from bayes_aero.report.table import write_csv
+
+if TYPE_CHECKING:  # pandas takes half a second to load, and is needed when a run ends
+    import xarray as xr
 
 FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
 UNITS = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
@@ -286,6 +288,8 @@ def write_identification(run: Identification, out: Path) -> None:
 
 def save_gp(report: GPReport, path: Path) -> None:
     """gpr.nc: a group per coefficient with its hyperparameters' posterior, and the validation of every split."""
+    import xarray as xr
+
     tree = xr.DataTree(name="gpr")
     for name, fit in report.fits.items():
         if fit.posterior is not None:
@@ -374,7 +378,7 @@ def fly_results(
 
 HISTORIES = "histories.nc"
 ENGINE = "h5netcdf"
-Histories = Mapping[str, xr.Dataset]
+Histories = Mapping[str, "xr.Dataset"]
 """Groups of the file by name: manoeuvres end to end, `manoeuvre` the number of each sample's, from 1 as in `names`."""
 
 
@@ -425,6 +429,8 @@ def column(output: str, kind: str) -> str:
 def _group(
     columns: Mapping[str, tuple[np.ndarray, str]], names: Sequence[str], manoeuvre: Any, time: Any
 ) -> xr.Dataset:
+    import xarray as xr
+
     about = {"long_name": "time as recorded, s"}  # xarray would make durations of what has the unit s
     data = {"time": ("sample", time, about), "manoeuvre": ("sample", manoeuvre + 1)}
     data |= {key: ("sample", x, {"units": unit}) for key, (x, unit) in columns.items()}
@@ -433,6 +439,8 @@ def _group(
 
 def put_histories(make: Callable[[], Histories], folder: Path) -> tuple[str, ...]:
     """Write `histories.nc`; if that fails an older file goes, and a sentence on it is returned."""
+    import xarray as xr
+
     path = folder / HISTORIES
     try:
         groups = make()

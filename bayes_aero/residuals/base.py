@@ -58,6 +58,14 @@ class ResidualModel(ABC):
         felt = (not np.array_equal(part, whole) for part in parts)
         return {name: x for (name, x), is_felt in zip(drawn.items(), felt, strict=True) if is_felt}
 
+    @cached_property
+    def noisy(self) -> dict[str, ResidualModel]:
+        """The same with the `noise` of each channel added to it, made ready once for any parameters."""
+        return {
+            name: self.with_channels(self.flights.channels | {name: self.flights.channels[name] + x})
+            for name, x in self.noise.items()
+        }
+
     @property
     def nameless(self):
         """The same without names of the flights, so that records of any name share compiled programs."""
@@ -149,15 +157,19 @@ class ResidualModel(ABC):
         self, theta: Theta, columns: Int[np.ndarray, " j"] | None = None
     ) -> tuple[Residual, Float[np.ndarray, "m c j"]]:
         """Residuals, measured minus modelled, and minus their derivatives by `columns`."""
-        indices = np.arange(len(theta)) if columns is None else np.asarray(columns)
+        every = np.eye(len(theta))
+        return self.along(theta, every if columns is None else every[columns])
+
+    def along(self, theta: Theta, directions: Directions) -> tuple[Residual, Float[np.ndarray, "m c j"]]:
+        """Residuals, and minus their derivatives along any directions of the parameters."""
         slopes, size, residual, S = self.slopes_at(theta), DIRECTIONS_PER_CALL, np.empty((0, 0)), np.empty((0, 0, 0))
-        for begin in range(0, max(len(indices), 1), size):  # one part alive: all sensitivities are large
-            place = np.arange(begin, min(begin + size, len(indices)))
-            directions = np.zeros((size, len(theta)))
-            directions[np.arange(len(place)), indices[place]] = 1.0
-            residual, slope = slopes(directions)
-            S = S if begin else np.empty((*residual.shape, len(indices)))
-            S[:, :, place] = np.moveaxis(slope[: len(place)], 0, 2)
+        count = len(directions)
+        for begin in range(0, max(count, 1), size):  # one part alive: all sensitivities are large
+            part = np.zeros((size, len(theta)))
+            part[: count - begin] = directions[begin : begin + size]
+            residual, slope = slopes(part)
+            S = S if begin else np.empty((*residual.shape, count))
+            S[:, :, begin : begin + size] = np.moveaxis(slope[: count - begin], 0, 2)
         return residual, S
 
 

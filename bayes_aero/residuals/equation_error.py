@@ -31,7 +31,7 @@ from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import LiftRegression, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
 from bayes_aero.physics.kinematics import ANGLES, LATERAL, PATH, as_symmetric
-from bayes_aero.processes import compiled_at
+from bayes_aero.processes import Program, compiled_at
 from bayes_aero.residuals import base
 from bayes_aero.units import number
 
@@ -95,16 +95,19 @@ class EquationError(base.Blockwise, eqx.Module):
     def linearise(
         self, theta: base.Theta, columns: Int[np.ndarray, " j"] | None = None
     ) -> tuple[base.Residual, Float[np.ndarray, "m c j"]]:
+        every = np.eye(len(theta))
+        return self.along(theta, every if columns is None else every[columns])
+
+    def along(self, theta: base.Theta, directions: base.Directions) -> tuple[base.Residual, Float[np.ndarray, "m c j"]]:
         k, m = len(theta), len(self.manoeuvre)
-        indices = np.arange(k) if columns is None else np.asarray(columns)
-        # Parameters that change the measured coefficients cost four times those that change only the modelled ones.
-        measuring = np.isin(indices, self.measuring)
+        # Those that change the measured coefficients cost four times those that change only the modelled ones.
+        measuring = np.any(directions[:, list(self.measuring)] != 0.0, axis=1)
         sets = [np.flatnonzero(measuring), np.flatnonzero(~measuring)]
-        directions = np.zeros((2, -(-k // DIRECTIONS_AT_ONCE) * DIRECTIONS_AT_ONCE, k))
+        given = np.zeros((2, -(-k // DIRECTIONS_AT_ONCE) * DIRECTIONS_AT_ONCE, k))
         for kind, places in enumerate(sets):
-            directions[kind, np.arange(len(places)), indices[places]] = 1.0
-        residual, *slopes = map(np.asarray, _linearise(self._padded, np.asarray(theta), *directions))
-        S = np.zeros((m, residual.shape[1], len(indices)))
+            given[kind, : len(places)] = directions[places]
+        residual, *slopes = map(np.asarray, _linearise(self._padded, np.asarray(theta), *given))
+        S = np.zeros((m, residual.shape[1], len(directions)))
         for places, slope in zip(sets, slopes, strict=True):
             S[:, : slope.shape[2], places] = np.moveaxis(slope[: len(places), :m], 0, 2)
         return residual[:m], S
@@ -193,7 +196,7 @@ def _residuals(padded: _Padded, theta):
     return padded.block(residual), {**signals, **details}
 
 
-_evaluate = eqx.filter_jit(_residuals)
+_evaluate = Program(_residuals)
 
 
 @compiled_at(1)
@@ -318,10 +321,10 @@ class FrequencyError(InBand, EquationError):
         return _Padded(self.nameless, self.flights.regression(), None)
 
 
-_residual = eqx.filter_jit(lambda responses, theta: responses.residual(theta))
+_residual = Program(lambda responses, theta: responses.residual(theta))
 
 
-@eqx.filter_jit
+@Program
 def _slopes(responses: LinearFrequencyError, theta, directions):
     residual, slope = jax.linearize(responses.residual, theta)
     return residual, jax.vmap(slope)(directions)
@@ -456,7 +459,7 @@ def _complex(parts: Array | np.ndarray) -> Array:
     return parts[:half] + 1j * parts[half:]
 
 
-@eqx.filter_jit
+@Program
 def _changes(responses: LinearFrequencyOutputError, theta):
     """Derivatives (m, c, w, s) of the residuals by the changes of the states."""
     moved = lambda x: eqx.tree_at(lambda r: r.changes, responses, x).residual(theta)  # noqa: E731

@@ -7,11 +7,7 @@ from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
-import arviz_base as azb
 import numpy as np
-import pandas as pd
-import xarray as xr
-from arviz_stats.base import array_stats
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -26,7 +22,9 @@ from bayes_aero.report.phrases import bracket, plus_minus
 from bayes_aero.report.plots import COLOURS, MODELS
 from bayes_aero.report.table import Estimate
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # xarray and pandas take most of a second to load, and no quick answer needs them
+    import xarray as xr
+
     from bayes_aero.diagnosis.result import View
     from bayes_aero.inference.results import Identification, Posterior, Stall
 
@@ -45,10 +43,12 @@ WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a 
 
 def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
     """The posterior group with draws of `names`, thinned evenly to at most `most` a chain."""
+    from arviz_base import from_dict
+
     dataset = posterior.tree["posterior"].to_dataset()[names]
     thin = dataset.isel(draw=slice(None, None, max(1, -(-dataset.sizes["draw"] // most))))
     values = {name: np.asarray(thin[name].transpose("chain", "draw")) for name in names}
-    return azb.from_dict({"posterior": values})
+    return from_dict({"posterior": values})
 
 
 def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: Any) -> Figure:
@@ -167,9 +167,11 @@ def _correlation(identification: Identification, name: str) -> Figure:
 @style.housed
 def hysteresis(identification: Identification) -> Figure:
     """CL against angle of attack, rising and falling separate: measured, maximum likelihood, GPR."""
+    from pandas import Series
+
     o, points = identification.observations, predicted(identification, "CL")
     alpha, rising = np.rad2deg(np.asarray(o.signals["alpha"])), np.asarray(o.signals["alpha_dot"]) > 0.0
-    measured = pd.Series(np.asarray(o.measured)[:, o.coefficients.index("CL")])
+    measured = Series(np.asarray(o.measured)[:, o.coefficients.index("CL")])
     sources = {"measured": measured, "maximum likelihood": points.mle}
     sources |= {"GPR": points.gp} if "gp" in points else {}
     rows = len(o.names)
@@ -259,6 +261,8 @@ def _densities(ax: Axes, prior: np.ndarray, posteriors: Mapping[str, tuple[str, 
 
     A posterior's is over its own peak, the prior's over that of the first posterior, so that these two compare.
     """
+    from arviz_stats.base import array_stats
+
     size = {label: (key, np.log10(x.ravel()) if log else x.ravel()) for label, (key, x) in posteriors.items()}
     main, of_prior = next(iter(size.values()))[1], np.log10(prior.ravel()) if log else prior.ravel()
     sd, ends, peak = float(np.std(main)), [], 0.0

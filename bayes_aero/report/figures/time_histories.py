@@ -9,7 +9,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -21,6 +20,8 @@ from bayes_aero.report.phrases import bracket
 from bayes_aero.report.plots import COLOURS, FLOWN, MODELS, Panel, extremes, measured_panel, output_panels, scale
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from bayes_aero.diagnosis.result import ProcessNoise, TrajectoryFit, View
     from bayes_aero.inference.results import Identification
 
@@ -80,6 +81,8 @@ def time_history(identification: Identification) -> Figure:
 
 def predicted(identification: Identification, coefficient: str) -> pd.DataFrame:
     """Predictions at the chosen split's test points (all its folds) by sample; without a GP the fit at all samples."""
+    import pandas as pd  # it takes half a second to load
+
     o, gp = identification.observations, identification.gp
     if coefficient not in o.coefficients:
         raise style.NotDrawn(f"the model has no {coefficient}")

@@ -9,7 +9,6 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import pandas as pd
 
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
@@ -42,6 +41,8 @@ from bayes_aero.report.table import NONE, BeforeAfter, Column, Estimate, Table, 
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from bayes_aero.diagnosis.result import (
         Cause,
         CausesInBand,
@@ -465,6 +466,8 @@ def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
 
 def scores_frame(holdout: HoldoutScores) -> pd.DataFrame:
     """A row for each model, fit, manoeuvre, coefficient: scores of 5 Hz means, and the gain of the extended model."""
+    import pandas as pd  # it takes half a second to load
+
     rows = []
     for (model, data, k), scores in sorted(holdout.scores.items()):
         for name, score in scores.items():
