@@ -144,7 +144,8 @@ class Program:
             return None
         what = hashlib.sha256(_version())
         try:
-            _describe((self.function, self.options, str(jax.dtypes.canonicalize_dtype(float))), what.update, traced=False)
+            how = self.options, str(jax.dtypes.canonicalize_dtype(float))
+            _describe((self.function, *how), what.update, traced=False)
             _describe(args, what.update, traced=True)
         except _UnknownError:
             return None
