@@ -6,6 +6,7 @@ import ctypes
 import functools
 import gc
 import hashlib
+import io
 import os
 import pickle
 import platform
@@ -17,14 +18,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
-from enum import Enum
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from types import FunctionType, MethodType, NoneType
+from types import FunctionType
 from typing import Any, TypeVar
 
-import numpy as np
 import platformdirs
 from threadpoolctl import ThreadpoolController
 
@@ -39,7 +38,7 @@ def give_back_memory() -> None:
     import jax  # takes seconds, and the cache is chosen before
 
     jax.clear_caches()
-    for program in _programs:
+    for program in _every:
         program.made.clear()
     gc.collect()
     if sys.platform == "linux":
@@ -59,30 +58,30 @@ def keep_freed_memory() -> None:
             mallopt(option, value)
 
 
-def compiled_at(level: int) -> Callable[[Callable], Program]:
-    """A `Program` at a level of optimisation: 0 compiles in half the time and runs up to five times slower; 1 runs as
+def compiled_at(level: int) -> Callable[[Callable], Compiled]:
+    """`Compiled` at a level of optimisation: 0 compiles in half the time and runs up to five times slower; 1 runs as
     JAX's default does, compiled in three quarters of it."""
     more = {} if level else {"xla_cpu_use_fusion_emitters": False}
-    return lambda function: Program(function, {"xla_backend_optimization_level": level, **more})
+    return lambda function: Compiled(function, {"xla_backend_optimization_level": level, **more})
 
 
-_COUNTING = threading.Lock()
-_programs: list[Program] = []
-_kept: list[float] = []  # JAX's least time of what it keeps, and a place for each program that is being compiled
+_COMPILING = threading.RLock()
+_every: list[Compiled] = []
 
 
-class Program:
+class Compiled:
     """A function compiled by JAX for each kind of arguments, of which all but arrays is constant; inside another, its
-    part. Compiled programs are kept on disk, so that no other process traces or compiles them again."""
+    part. What is compiled is kept on disk, so that no other process traces or compiles it again."""
 
     def __init__(self, function: Callable, options: dict[str, Any] | None = None) -> None:
         self.function, self.options, self.making = function, options, threading.RLock()
         self.made = dict[Any, tuple[Any, Any]]()
         functools.update_wrapper(self, function)
-        _programs.append(self)
+        _every.append(self)
 
     def __call__(self, *args: Any) -> Any:
         import jax  # it takes seconds
+        import numpy as np
         from jax.core import Tracer
 
         leaves, structure = jax.tree.flatten(args)
@@ -91,138 +90,88 @@ class Program:
         if any(isinstance(x, Tracer) for x in arrays):
             return self.function(*args)
         for k in places:
-            leaves[k] = None
-        key = structure, tuple(leaves), tuple((x.shape, x.dtype) for x in arrays)
+            leaves[k] = leaves[k].shape, leaves[k].dtype
+        key = structure, tuple(leaves)
         if (made := self.made.get(key)) is None:
             with self.making:
                 if (made := self.made.get(key)) is None:
-                    made = self.made[key] = self._loaded(args, arrays, places)
+                    made = self.made[key] = self._loaded(structure, leaves, arrays, places)
         program, result = made
         return jax.tree.unflatten(result, program(arrays))
 
-    def _loaded(self, args: Any, arrays: list[Any], places: list[int]) -> tuple[Any, Any]:
+    def _loaded(self, structure: Any, leaves: list[Any], arrays: list[Any], places: list[int]) -> tuple[Any, Any]:
         """The compiled program, from the disk where it is there, and the structure of its results."""
         import jax
         from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
-        leaves, structure = jax.tree.flatten(args)
-        result: Any = None
+        given, result = list(leaves), None
 
         def traced(arrays: list[Any]) -> list[Any]:
             nonlocal result
             for place, array in zip(places, arrays, strict=True):
-                leaves[place] = array
-            made, result = jax.tree.flatten(self.function(*jax.tree.unflatten(structure, leaves)))
+                given[place] = array
+            made, result = jax.tree.flatten(self.function(*jax.tree.unflatten(structure, given)))
             return made
 
-        path = self._path(args)
+        path = self._path(jax.tree.unflatten(structure, leaves))
         traced.__name__ = self.function.__qualname__ + ("" if path is None else f"_{path.stem[:8]}")
         if path is not None and path.is_file():
             with suppress(Exception):  # of a file that is not whole; it is made again
                 code, blank = pickle.loads(path.read_bytes())
                 result = jax.tree.structure(blank)
+                jax.jit(jax.numpy.linalg.cholesky).lower(
+                    jax.numpy.eye(1)
+                )  # lowering such a program makes LAPACK known to all
                 trees = jax.tree.structure(((arrays,), {})), jax.tree.structure([0] * result.num_leaves)
-                _ready()
                 return deserialize_and_load(code, *trees), result
         program = jax.jit(traced, compiler_options=self.options).lower(arrays)
         if path is None:
             return program.compile(), result
-        with _kept_once():
-            compiled = program.compile()
-        # A program of which JAX cannot make a file, or a full disk, costs the next process the time to compile it.
-        with suppress(OSError, ValueError, TypeError, AttributeError, NotImplementedError, pickle.PicklingError):
-            content = pickle.dumps((serialize(compiled)[0], jax.tree.unflatten(result, [0] * result.num_leaves)))
+        with _COMPILING:  # JAX's own cache must not keep it: of what that gives back no file can be made
+            before = getattr(jax.config, LEAST_TIME)
+            jax.config.update(LEAST_TIME, 1e9)
+            try:
+                compiled = program.compile()
+            finally:
+                jax.config.update(LEAST_TIME, before)
+        with suppress(Exception):  # a full disk, or a program of which JAX makes no file; the next process compiles it
+            content = pickle.dumps((serialize(compiled)[0], jax.tree.unflatten(result, [0] * len(compiled.out_info))))
             path.parent.mkdir(parents=True, exist_ok=True)
             write_whole(content, path)
         return compiled, result
 
-    def _path(self, args: Any) -> Path | None:
-        """The file of a program; None where programs are not kept, or another process could not know it again."""
+    def _path(self, kinds: Any) -> Path | None:
+        """The file of a program for arguments of these `kinds`; None where another process could not know it again."""
         import jax
 
         if not (root := os.environ.get(FOLDER)):
             return None
-        what = hashlib.sha256(_version())
+        words = io.BytesIO()
         try:
-            how = self.options, str(jax.dtypes.canonicalize_dtype(float))
-            _describe((self.function, *how), what.update, traced=False)
-            _describe(args, what.update, traced=True)
-        except _UnknownError:
+            _Words(words).dump((self.function, self.options, str(jax.dtypes.canonicalize_dtype(float)), kinds))
+        except (pickle.PicklingError, TypeError, AttributeError):
             return None
-        return Path(root) / PROGRAMS / f"{what.hexdigest()}.bin"
+        return Path(root) / "programs" / f"{hashlib.sha256(_version() + words.getvalue()).hexdigest()}.bin"
 
 
-LEAST_TIME = "jax_persistent_cache_min_compile_time_secs"
-SENTINELS = "equinox._module._flatten"  # of the fields that a module lacks
+class _Words(pickle.Pickler):
+    """All that a program depends on, in the same words in every process, and not to be read back."""
 
+    def __init__(self, file: io.BytesIO) -> None:
+        super().__init__(file)
+        self.fast = True  # nothing by reference to what came before, for equal objects need not be the same
 
-@cache
-def _ready() -> None:
-    """JAX gives its compiled programs the functions of LAPACK when it first lowers a program that calls one."""
-    import jax
-
-    jax.jit(jax.numpy.linalg.cholesky).lower(np.eye(1))
-
-
-@contextmanager
-def _kept_once() -> Iterator[None]:
-    """JAX's own cache does not keep what is compiled here: from what it gives back no file can be made."""
-    import jax
-
-    with _COUNTING:
-        if not _kept:
-            _kept.append(getattr(jax.config, LEAST_TIME))
-            jax.config.update(LEAST_TIME, 1e9)
-        _kept.append(0.0)
-    try:
-        yield
-    finally:
-        with _COUNTING:
-            _kept.pop()
-            if len(_kept) == 1:
-                jax.config.update(LEAST_TIME, _kept.pop())
-
-
-class _UnknownError(Exception):
-    """Of a value that may mean something else in another process."""
-
-
-def _describe(x: Any, tell: Callable[[bytes], Any], *, traced: bool) -> None:
-    """Tell all that a compiled program depends on, in the same words in every process: of `traced` arrays the kind."""
-    import jax
-
-    parts: Any = ()
-    if traced and (node := jax.tree_util.default_registry.flatten_one_level(x)) is not None:
-        _describe((type(x), len(node[0]), node[1]), tell, traced=False)
-        for part in node[0]:
-            _describe(part, tell, traced=True)
-        return
-    if isinstance(x, jax.Array | np.ndarray | np.generic):
-        parts = (x.shape, x.dtype.str, None if traced else np.asarray(x).tobytes())
-    elif isinstance(x, NoneType | bool | int | float | complex | str | bytes) or type(x).__module__ == SENTINELS:
-        tell(f"{type(x).__name__}{x!r}".encode())
-        return
-    elif isinstance(x, type | Enum | np.ufunc):
-        parts = (getattr(x, "__module__", ""), getattr(x, "__qualname__", str(x)))
-    elif isinstance(x, tuple | list):
-        parts = x
-    elif isinstance(x, Mapping):
-        parts = [y for pair in x.items() for y in pair]
-    elif isinstance(x, FunctionType):
-        if x.__module__.partition(".")[0] != __package__:  # the version does not tell of a user's file
-            raise _UnknownError(x)
-        place, cells = next(iter(x.__code__.co_positions()), None), [c.cell_contents for c in x.__closure__ or ()]
-        parts = (x.__module__, x.__qualname__, place, x.__defaults__, x.__kwdefaults__, cells)  # of several on one line
-    elif isinstance(x, functools.partial | MethodType):
-        parts = x.__reduce__()[1:]
-    elif is_dataclass(x):
-        parts = [getattr(x, field.name) for field in fields(x)]
-    else:
-        raise _UnknownError(x)
-    tell(f"{type(x).__module__}.{type(x).__qualname__}{len(parts)}(".encode())
-    for part in parts:
-        _describe(part, tell, traced=False)
-    tell(b")")
+    def reducer_override(self, x: Any) -> Any:
+        if isinstance(x, FunctionType):
+            if x.__module__.partition(".")[0] != __package__:  # the version does not tell of a user's file
+                raise pickle.PicklingError(x.__qualname__)
+            place, cells = next(iter(x.__code__.co_positions()), None), [c.cell_contents for c in x.__closure__ or ()]
+            return str, (x.__module__, x.__qualname__, place, x.__defaults__, x.__kwdefaults__, cells)
+        if isinstance(x, Mapping) and type(x) is not dict:
+            return dict, (tuple(x.items()),)
+        if is_dataclass(x) and not isinstance(x, type):  # without what it has found since it was made
+            return type(x), tuple(getattr(x, field.name) for field in fields(x))
+        return NotImplemented
 
 
 @cache
@@ -248,9 +197,10 @@ def full_of_programs() -> bool:
 
 # --- The cache of compiled programs on disk, shared between processes.
 
-CACHE, PROGRAMS = "BAYES_AERO_CACHE", "programs"
+CACHE = "BAYES_AERO_CACHE"
 FOLDER = "JAX_COMPILATION_CACHE_DIR"
 MIN_SECONDS = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
+LEAST_TIME = MIN_SECONDS.lower()
 SECONDS = "0.2"  # s of compilation: half of a command's, in a tenth of the files
 
 

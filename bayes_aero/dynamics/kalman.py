@@ -34,7 +34,7 @@ from bayes_aero.dynamics.system import (
     stage_points,
     step_series,
 )
-from bayes_aero.processes import Program, compiled_at
+from bayes_aero.processes import Compiled, compiled_at
 
 Theta = Float[Array, " k"]
 PerState = Float[Array, " s"]
@@ -212,7 +212,7 @@ def filter_segments(
     return each(filter_inputs(flown, prepared, start_deviation, R))
 
 
-@Program
+@Compiled
 def prediction_errors(flown: SegmentTrajectories, theta: Theta, filtered: Filtered) -> Float[Array, "w n c"]:
     """Measured minus predicted from the samples before, in recorded units; `filtered` is that of `filter_segments`."""
     prepared = prepare(flown, theta)

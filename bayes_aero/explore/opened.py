@@ -29,7 +29,7 @@ from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.parameter import Parameter
 from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
-from bayes_aero.processes import Program, compiled_at
+from bayes_aero.processes import Compiled, compiled_at
 from bayes_aero.report.pages.parts import consistency_sentences
 from bayes_aero.report.phrases import for_people, plain_unit
 from bayes_aero.residuals.equation_error import EquationError
@@ -427,4 +427,4 @@ def _one(flown: SegmentTrajectories, residuals: EquationError | None, theta: Any
 
 
 _fly = compiled_at(0)(_one)
-_fly_draws = Program(eqx.filter_vmap(_one, in_axes=(None, None, 0, None)))
+_fly_draws = Compiled(eqx.filter_vmap(_one, in_axes=(None, None, 0, None)))

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
+from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree.ElementTree import Comment, Element, indent, tostring
@@ -305,112 +306,7 @@ def jsbsim_files(identified: Identified) -> Mapping[str, str]:
 # --- The model as an FMU 2.0 for co-simulation: its steps in the wrapper of pythonfmu.
 
 MOST_SECONDS = 300
-SLAVE = '''"""Co-simulation of an identified aerodynamic model."""
-
-import math
-import operator
-from xml.etree.ElementTree import SubElement
-
-from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
-
-INPUTS = {inputs!r}
-POINTS = {points!r}
-OUTPUTS = {outputs!r}
-PARAMETERS = {parameters!r}
-CONSTANTS = {constants!r}
-STEPS = {steps!r}
-RESULTS = {results!r}
-
-SAME = ("add", "sub", "mul", "neg", "lt", "le", "gt", "ge", "eq", "ne")
-OPERATIONS = {{name: getattr(operator, name) for name in SAME}}
-OPERATIONS |= {{
-    name: getattr(math, name)
-    for name in (
-        "sqrt", "cbrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
-        "cosh", "tanh", "floor", "ceil", "pow",
-    )
-    if hasattr(math, name)  # cbrt is of Python 3.11
-}}
-OPERATIONS |= {{
-    "div": operator.truediv, "abs": abs,
-    "min": lambda x, y: min(x, y) if x == x and y == y else math.nan,  # what is no number stays none
-    "max": lambda x, y: max(x, y) if x == x and y == y else math.nan, "not": operator.not_,
-    "and": lambda x, y: x and y, "or": lambda x, y: x or y, "select": lambda where, x, y: x if where else y,
-    "sign": lambda x: float(x > 0.0) - float(x < 0.0),
-    "logistic": lambda x: 1.0 / (1.0 + math.exp(-x)) if x >= 0.0 else math.exp(x) / (1.0 + math.exp(x)),
-}}
-
-
-def aerodynamics(signals, states, parameters=PARAMETERS):
-    """Coefficients and separation points."""
-    values = dict(CONSTANTS)
-    for kind, given in (("signal", signals), ("state", states), ("parameter", parameters)):
-        values.update((f"{{kind}}.{{name}}", x) for name, x in given.items())
-    for name, operation, arguments in STEPS:
-        try:
-            values[name] = OPERATIONS[operation](*(values[x] if isinstance(x, str) else x for x in arguments))
-        except (ArithmeticError, ValueError):  # of a branch that `select` may not take
-            values[name] = math.nan
-    return {{name: values[x] if isinstance(x, str) else x for name, x in RESULTS.items()}}
-
-
-class {name}(Fmi2Slave):
-    author = "bayes_aero"
-    description = {description!r}
-
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        self.inputs = dict.fromkeys(INPUTS, 0.0) | {start!r}
-        self.parameters = dict(PARAMETERS)
-        self.states = dict.fromkeys(POINTS, 1.0)
-        self.outputs = dict.fromkeys(OUTPUTS, 0.0)
-        for name, text in INPUTS.items():
-            self._add(name, self.inputs, name, text, causality=Fmi2Causality.input)
-        for name in self.parameters:
-            kind = {{"causality": Fmi2Causality.parameter, "variability": Fmi2Variability.tunable}}
-            self._add(f"parameter.{{name}}", self.parameters, name, "", **kind)
-        for name, text in OUTPUTS.items():
-            self._add(name, self.outputs, name, text, causality=Fmi2Causality.output)
-        for name in POINTS:
-            self._add(name, self.states, name, "separation point", causality=Fmi2Causality.output)
-
-    def _add(self, name, values, key, text, **kind):
-        def put(x):
-            values[key] = x
-
-        variable = Real(name, getter=lambda: values[key], setter=put, description=text, **kind)
-        self.register_variable(variable, nested=False)
-
-    def to_xml(self, *given):
-        root = super().to_xml(*given)
-        node = SubElement(root.find("ModelStructure"), "InitialUnknowns")
-        for number, variable in enumerate(self.vars.values(), 1):
-            if variable.causality is Fmi2Causality.output:
-                SubElement(node, "Unknown", index=str(number))
-        return root
-
-    def _evaluate(self):
-        found = aerodynamics(self.inputs, self.states, self.parameters)
-        lost = [name for name, x in found.items() if not math.isfinite(x)]
-        if lost:
-            raise ValueError(f"{{lost[0]}} is no number at inputs {{self.inputs}}")
-        self.outputs.update((name, found[name]) for name in OUTPUTS)
-        return found
-
-    def exit_initialization_mode(self):
-        found = self._evaluate()
-        for name in POINTS:
-            self.states[name] = found[name + "_static"]
-        self._evaluate()
-
-    def do_step(self, current_time, step_size):
-        found = self._evaluate()
-        for name in POINTS:
-            static = found[name + "_static"]
-            self.states[name] = static + (self.states[name] - static) * math.exp(-step_size / found["lag"])
-        self._evaluate()
-        return True
-'''
+SLAVE = files("bayes_aero.export").joinpath("fmu_slave.txt").read_text("utf-8")
 START = {"airspeed": 100.0, "density": 1.225}  # inputs that no flow has at zero
 
 

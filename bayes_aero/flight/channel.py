@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,66 +49,13 @@ class StandardChannel(NamedTuple):
     plausible: tuple[float, float]
 
 
-_TABLE = (
-    # name, SI unit, description, plausible lo, hi
-    ("time", "s", "time", -1e9, 1e10),
-    ("ax", "m/s^2", "specific force at the accelerometer, body x (forward)", -200.0, 200.0),
-    ("ay", "m/s^2", "specific force at the accelerometer, body y (right)", -200.0, 200.0),
-    ("az", "m/s^2", "specific force at the accelerometer, body z (down); level flight -9.8", -200.0, 200.0),
-    ("p", "rad/s", "roll rate", -10.0, 10.0),
-    ("q", "rad/s", "pitch rate", -5.0, 5.0),
-    ("r", "rad/s", "yaw rate", -5.0, 5.0),
-    ("phi", "rad", "bank angle", -20.0, 20.0),  # unwrapped rolls are allowed
-    ("theta", "rad", "pitch attitude", -1.6, 1.6),
-    ("psi", "rad", "heading", -40.0, 40.0),  # unwrapped turns are allowed
-    ("alpha", "rad", "angle of attack", -1.6, 1.6),
-    ("beta", "rad", "sideslip", -1.6, 1.6),
-    ("alpha_dot", "rad/s", "rate of angle of attack", -10.0, 10.0),
-    ("beta_dot", "rad/s", "rate of sideslip", -10.0, 10.0),
-    ("p_dot", "rad/s^2", "roll acceleration", -100.0, 100.0),
-    ("q_dot", "rad/s^2", "pitch acceleration", -100.0, 100.0),
-    ("r_dot", "rad/s^2", "yaw acceleration", -100.0, 100.0),
-    ("airspeed", "m/s", "true airspeed", 0.0, 400.0),
-    ("calibrated_airspeed", "m/s", "calibrated airspeed", -10.0, 400.0),
-    ("mach", "1", "Mach number", -0.01, 3.0),
-    ("altitude", "m", "pressure altitude", -1000.0, 40000.0),
-    ("radio_altitude", "m", "radio altitude", -1000.0, 40000.0),
-    ("elevator", "rad", "elevator deflection, trailing edge down positive", -1.6, 1.6),
-    ("elevator_left", "rad", "left elevator deflection, trailing edge down positive", -1.6, 1.6),
-    ("elevator_right", "rad", "right elevator deflection, trailing edge down positive", -1.6, 1.6),
-    ("elevon_left", "rad", "left elevon deflection, trailing edge down positive", -1.6, 1.6),
-    ("elevon_right", "rad", "right elevon deflection, trailing edge down positive", -1.6, 1.6),
-    ("canard", "rad", "canard deflection, trailing edge down positive", -1.6, 1.6),
-    ("stabilizer", "rad", "horizontal-tail trim angle", -1.6, 1.6),
-    ("rudder", "rad", "rudder deflection", -1.6, 1.6),
-    ("aileron", "rad", "aileron deflection, half of right less left, trailing edge down positive", -1.6, 1.6),
-    ("aileron_left", "rad", "left aileron deflection", -1.6, 1.6),
-    ("aileron_right", "rad", "right aileron deflection", -1.6, 1.6),
-    ("flap", "rad", "flap deflection", -1.6, 1.6),
-    ("spoiler_left", "rad", "left spoiler deflection", -1.6, 1.6),
-    ("spoiler_right", "rad", "right spoiler deflection", -1.6, 1.6),
-    ("dlc_left", "rad", "left direct-lift flap deflection", -1.6, 1.6),
-    ("dlc_right", "rad", "right direct-lift flap deflection", -1.6, 1.6),
-    ("n1_left", "1", "left engine speed, fraction", -0.1, 2.0),
-    ("n1_right", "1", "right engine speed, fraction", -0.1, 2.0),
-    ("engine_speed", "rad/s", "speed of the engine or propeller", -1.0, 2e4),
-    ("throttle", "1", "throttle or power lever, fraction", -0.5, 2.0),
-    ("throttle_left", "1", "left throttle, fraction", -0.5, 2.0),
-    ("throttle_right", "1", "right throttle, fraction", -0.5, 2.0),
-    ("thrust_left", "N", "left net thrust", -1e6, 1e6),
-    ("thrust_right", "N", "right net thrust", -1e6, 1e6),
-    ("thrust", "N", "total net thrust", -2e6, 2e6),
-    ("fuel_used", "kg", "fuel used", -1e3, 3e5),
-    ("static_temperature", "K", "static temperature", 150.0, 350.0),
-    ("static_pressure", "Pa", "static pressure", 1200.0, 1.2e5),
-    ("dynamic_pressure", "Pa", "dynamic pressure, half of density times true airspeed squared", -500.0, 1.5e5),
-    ("density", "kg/m^3", "air density", 0.0, 2.0),
-    ("latitude", "rad", "latitude", -1.6, 1.6),
-    ("longitude", "rad", "longitude", -6.3, 6.3),
-    ("gear", "1", "landing gear, 0 up", -1.0, 100.0),
+_TABLE: dict[str, dict[str, Any]] = tomllib.loads(
+    files("bayes_aero.flight").joinpath("channels.toml").read_text("utf-8")
 )
-
-STANDARD_CHANNELS = {name: StandardChannel(name, unit, text, (lo, hi)) for name, unit, text, lo, hi in _TABLE}
+STANDARD_CHANNELS = {
+    name: StandardChannel(name, row["unit"], row["description"], tuple(row["plausible"]))
+    for name, row in _TABLE.items()
+}
 
 UNITS: dict[str, tuple[str, ...]] = {
     "rad": ("deg", "rad"), "rad/s": ("deg/s", "rad/s"), "rad/s^2": ("deg/s^2", "rad/s^2"), "m": ("ft", "m"),
@@ -124,58 +73,7 @@ def unit_choices(name: str) -> tuple[str, ...]:
 
 # --- What people call channels and units in the headers of their files.
 
-_NAMES: dict[str, str] = {
-    "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime "
-    "missiontime simtime",
-    "alpha": "alpha aoa angleofattack alfa alphacg alcg alphavane aoatrue alphatrue incidence al",
-    "beta": "beta aos sideslip angleofsideslip sideslipangle betacg becg",
-    "airspeed": "tas airspeedtrue tasairspeed v vtas trueairspeed vtrue airspeed vt vtascg ktas speed va",
-    "calibrated_airspeed": "ias cas vcas vias kcas kias indicatedairspeed calibratedairspeed vc vi",
-    "p": "p prate rollrate pb prgx omegax wx gyrox rollvel",
-    "q": "q qrate pitchrate qb qrgy omegay wy gyroy pitchvel",
-    "r": "r rrate yawrate rb rrgz omegaz wz gyroz yawvel",
-    "phi": "phi roll bank rollangle bankangle rollattitude rollatt bankatt",
-    "theta": "theta the pitch pitchangle pitchattitude pitchatt tht",
-    "psi": "magneticheading magheading hdgmag psi heading hdg yaw yawangle trueheading headingtrue",
-    "ax": "gloadaxial ax nx nxb axcg accx accelx axb axbody longacc longitudinalacceleration acclong nxcg "
-    "longloadfactor longitudinalloadfactor longaccel longitudinalaccel axialaccel",
-    "ay": "gloadside ay ny nyb aycg accy accely ayb aybody latacc lateralacceleration acclat nycg "
-    "latloadfactor lateralloadfactor lataccel lateralaccel",
-    "az": "gloadnorml gloadnormal "
-    "az nz nzb azcg accz accelz azb azbody normalacceleration loadfactor vertacc nzcg normacc accnorm "
-    "normalaccel normaccel normalloadfactor normloadfactor vertloadfactor verticalloadfactor",
-    "altitude": "alt altitude h hp pressurealtitude palt hbaro baroalt hqnh pressalt baroaltitude altmsl",
-    "radio_altitude": "radalt ralt hradio radioaltitude radaralt",
-    "elevator": "de deteu deted elevteu elevted elevator elev delv deltae elevatordeflection elevatorposition elevpos "
-    "elevatorpos dele elevdefl",
-    "elevator_left": "elvl", "elevator_right": "elvr",
-    "canard": "canard deltac canardposition canardpos canarddeflection",
-    "stabilizer": "stab stabilizer stabiliser ih ihtrm pitchtrim stabtrim htrim stabpos",
-    "rudder": "dr rudder rud drud rudderposition rudpos deltar rudderdeflection",
-    "aileron": "ail aileron da dail deltaa aileronposition ailpos ailerondeflection dela",
-    "aileron_left": "ailleft aill dal", "aileron_right": "ailright ailr dar",
-    "flap": "flap flaps flapposition flappos df flapangle flapdeflection",
-    "spoiler_left": "dspll spll", "spoiler_right": "dsplr splr",
-    "n1_left": "n1l n1eng1 n11 n1t1l", "n1_right": "n1r n1eng2 n12 n1t2r",
-    "thrust": "thrust fn netthrust totalthrust thrusttotal fntotal thr",
-    "thrust_left": "fnl fnleft thrust1 fn1 thrl", "thrust_right": "fnr fnright thrust2 fn2 thrr",
-    "throttle": "throttle throttleposition throttlepos",
-    "throttle_left": "throttle1", "throttle_right": "throttle2",
-    "engine_speed": "rpm enginerpm enginespeed proprpm propellerspeed",
-    "dynamic_pressure": "qbar dynamicpressure dynpress dynpres dynpressure pdyn qdyn qinf dynp",
-    "p_dot": "pdot rollaccel rollacceleration angularaccx",
-    "q_dot": "qdot pitchaccel pitchacceleration angularaccy",
-    "r_dot": "rdot yawaccel yawacceleration angularaccz",
-    "alpha_dot": "alphadot aldot aoadot aoarate",
-    "beta_dot": "betadot bedot aosdot sideslipdot",
-    "mach": "mach m machnumber ma machno",
-    "density": "rho density airdensity",
-    "static_temperature": "sat oat temperature statictemperature tstat outsideairtemperature ts",
-    "static_pressure": "ps pstat staticpressure pstatic",
-    "fuel_used": "fuelused fuelus fuelburn fuelburned",
-    "latitude": "lat latitude", "longitude": "lon long longitude",
-    "gear": "gear gearpos landinggear",
-}  # fmt: skip
+_NAMES = {name: row["names"].split() for name, row in _TABLE.items() if "names" in row}
 
 
 # Names of the left and right half of what has two: "aileronr" and "raileron" are not the aileron. Only of whole words:
@@ -183,7 +81,7 @@ _NAMES: dict[str, str] = {
 _SIDED = {
     alias: f"{whole}_{side}"
     for whole in (name.removesuffix("_left") for name in STANDARD_CHANNELS if name.endswith("_left"))
-    for word in (whole, *_NAMES.get(whole, "").split())
+    for word in (whole, *_NAMES.get(whole, ()))
     if len(word) > 3
     for side in ("left", "right")
     for mark in (side, side[0], f"{side[0]}h")
@@ -191,7 +89,7 @@ _SIDED = {
 }
 ALIASES: dict[str, str] = (
     _SIDED
-    | {alias: name for name, text in _NAMES.items() for alias in text.split()}
+    | {alias: name for name, aliases in _NAMES.items() for alias in aliases}
     | {name.replace("_", ""): name for name in STANDARD_CHANNELS}
 )
 """Channel by what a heading is called in lower case, without blanks, underscores and units."""

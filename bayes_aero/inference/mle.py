@@ -40,7 +40,7 @@ from bayes_aero.model.observations import Observations, observe
 from bayes_aero.model.records import Forming
 from bayes_aero.parameter import Parameter, Role
 from bayes_aero.physics.aircraft import Aircraft
-from bayes_aero.processes import Program, compiled_at
+from bayes_aero.processes import Compiled, compiled_at
 
 MAX_ITERATIONS = 100
 TOLERANCE = 1e-7  # expected gain in log-likelihood of one more step: 5e-4 Cramer-Rao standard errors
@@ -281,7 +281,7 @@ def _sensitivities(data: Data, theta: Float[Array, " k"]):
     return [data.measured[:, i] - y for i, y in enumerate(predicted)], S, X
 
 
-@Program
+@Compiled
 def evaluate(data: Data, theta: Float[AnyArray, " k"]):
     """Residual (n, c), sensitivities (n, c, k) and separation point (n,); too large to transfer at every step."""
     residual, S, X = _sensitivities(data, theta)
@@ -299,7 +299,7 @@ def full_steps(
     return GaussNewtonPoint(theta, float(cost), *rest, int(steps))  # pyright: ignore[reportCallIssue]
 
 
-@Program
+@Compiled
 def _full_steps(data: Data, start: Any, lower: Any, upper: Any, tolerance: Any, max_steps: Any):
     n, k = data.measured.shape[0], start.shape[0]
 

@@ -37,7 +37,7 @@ from bayes_aero.inference.optimise import (
 )
 from bayes_aero.inference.results import Inseparable, OutputErrorStatus, inseparable
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.processes import Program, compiled_at, side_by_side
+from bayes_aero.processes import Compiled, compiled_at, side_by_side
 
 OfStates = Float[np.ndarray, "w s"]
 
@@ -80,7 +80,7 @@ class NormalPriors:
         return cls(pairs[:, 0], *precisions, weight, flown.fixed is not None)
 
 
-@Program
+@Compiled
 def _inner_products(flown: SegmentTrajectories, theta: Float[AnyArray, " k"], departure: Float[AnyArray, "w s"]):
     """Gram matrices, samples inside the envelope, and columns; forward sensitivities, all directions at once."""
     k, s = theta.shape[0], departure.shape[1]

@@ -21,7 +21,7 @@ from scipy.stats import binom, norm
 
 from bayes_aero.inference import results
 from bayes_aero.model.observations import Colour, Density, LogDensity, Noise
-from bayes_aero.processes import Program, side_by_side
+from bayes_aero.processes import Compiled, side_by_side
 from bayes_aero.progress import Progress, quiet
 
 if TYPE_CHECKING:  # they take most of a second to load, which fits without a posterior do without
@@ -65,7 +65,7 @@ class PosteriorMode:
         return self.u + v @ self.factor.T
 
 
-@Program
+@Compiled
 def _value_and_gradient(density: LogDensity, u: Float[Array, " k"]):
     return jax.value_and_grad(type(density).__call__, argnums=1)(density, u)
 
@@ -192,7 +192,7 @@ STEPS_PER_CALL = 100
 AUTOCORRELATION_TIMES = 30  # length of a run from which the estimate of its autocorrelation time is used
 
 
-@Program
+@Compiled
 def _log_density(density: LogDensity, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]):
     return jax.vmap(lambda row: density(u + factor @ row))(v)
 
@@ -344,13 +344,13 @@ def converged(marginals: dict[str, results.Marginal]) -> bool:
     return all(m.ess >= TARGET_ESS and m.rhat <= TARGET_RHAT for m in marginals.values())
 
 
-@Program
+@Compiled
 def constrain_draws(density: LogDensity, u: Float[Array, "chain draw k"]) -> Float[Array, "chain draw k"]:
     """x of every u."""
     return jax.vmap(jax.vmap(density.constrain))(u)
 
 
-@Program
+@Compiled
 def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m n c"]):
     return jax.lax.map(lambda pair: (density.pointwise(pair[0]), density.replicate(*pair)), (x, white))
 
@@ -518,7 +518,7 @@ def pit_of(run: results.Identification) -> results.PitResult | None:
     return results.PitResult(engine, values, bars, correlation)
 
 
-@Program
+@Compiled
 def _mean_probability(density: Density, x: Float[Array, "m k"]) -> Float[Array, "n c"]:
     # Noise is normal given the parameters, so each draw's probability is exact and their mean has no steps of 1/m.
     add = lambda total, row: (total + ndtr(density.standardised(row)), None)  # noqa: E731
@@ -577,7 +577,7 @@ def prior_sensitivity(density: LogDensity, posterior: results.Posterior) -> pd.D
     return pd.DataFrame.from_dict(leaning, orient="index")
 
 
-@Program
+@Compiled
 def _prior_and_likelihood(density: LogDensity, x: Float[Array, "chain draw k"]) -> tuple[Array, Array]:
     terms = lambda row: (density.log_prior(row), density.log_likelihood(row))  # noqa: E731
     return jax.lax.map(lambda chain: jax.lax.map(terms, chain), x)

@@ -31,7 +31,7 @@ from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import LiftRegression, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
 from bayes_aero.physics.kinematics import ANGLES, LATERAL, PATH, as_symmetric
-from bayes_aero.processes import Program, compiled_at
+from bayes_aero.processes import Compiled, compiled_at
 from bayes_aero.residuals import base
 from bayes_aero.units import number
 
@@ -196,7 +196,7 @@ def _residuals(padded: _Padded, theta):
     return padded.block(residual), {**signals, **details}
 
 
-_evaluate = Program(_residuals)
+_evaluate = Compiled(_residuals)
 
 
 @compiled_at(1)
@@ -321,10 +321,10 @@ class FrequencyError(InBand, EquationError):
         return _Padded(self.nameless, self.flights.regression(), None)
 
 
-_residual = Program(lambda responses, theta: responses.residual(theta))
+_residual = Compiled(lambda responses, theta: responses.residual(theta))
 
 
-@Program
+@Compiled
 def _slopes(responses: LinearFrequencyError, theta, directions):
     residual, slope = jax.linearize(responses.residual, theta)
     return residual, jax.vmap(slope)(directions)
@@ -459,7 +459,7 @@ def _complex(parts: Array | np.ndarray) -> Array:
     return parts[:half] + 1j * parts[half:]
 
 
-@Program
+@Compiled
 def _changes(responses: LinearFrequencyOutputError, theta):
     """Derivatives (m, c, w, s) of the residuals by the changes of the states."""
     moved = lambda x: eqx.tree_at(lambda r: r.changes, responses, x).residual(theta)  # noqa: E731

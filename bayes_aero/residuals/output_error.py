@@ -22,7 +22,7 @@ from bayes_aero.effect import Effect, Example, Stage, effect
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.processes import Program, compiled_at
+from bayes_aero.processes import Compiled, compiled_at
 from bayes_aero.residuals import base
 
 # --- Output error: recorded minus simulated channels, in windows with an initial state each.
@@ -118,10 +118,10 @@ class OutputError(base.ResidualModel, eqx.Module):
         return simulate(self.flown, theta, departure).trajectory.states
 
 
-_residual = Program(lambda responses, theta, shared: responses.residual(theta, shared))
+_residual = Compiled(lambda responses, theta, shared: responses.residual(theta, shared))
 
 
-@Program
+@Compiled
 def _slopes(responses: OutputError, theta, directions, initial_directions):
     """Derivatives by parameters and initial states together, so that one program serves both."""
     point = (theta, jnp.zeros(initial_directions.shape[1]))
@@ -230,13 +230,13 @@ class FilterError(OutputError):
         return np.zeros((len(self.place), len(outputs), 0))
 
 
-@Program
+@Compiled
 def _path(responses: FilterError, theta):
     path = kalman.run_observer(responses.flown, theta, responses.by)
     return path, kalman.state_derivatives(responses.flown, theta, path.before, path.after)
 
 
-@Program
+@Compiled
 def _filter_slopes(responses: FilterError, theta, path, derivatives, directions):
     lin = kalman.linearise(responses.flown, theta, path.before, path.after, directions, derivatives)
     e = path.innovation[..., None]
@@ -271,7 +271,7 @@ _states = compiled_at(0)(lambda responses, theta: responses.states(theta))
 _by_input = compiled_at(0)(kalman.derivatives_by_input)
 
 
-@Program
+@Compiled
 def _added_slopes(responses: OutputError, theta: Any, zeros: Mapping[str, Array], directions: Mapping[str, Array]):
     still = jnp.zeros(len(responses.windows.dynamics.start))
 
@@ -282,7 +282,7 @@ def _added_slopes(responses: OutputError, theta: Any, zeros: Mapping[str, Array]
     return jax.vmap(lambda d: jax.jvp(residual, (zeros,), (d,))[1])(dict(directions))
 
 
-@Program
+@Compiled
 def _signals(responses: OutputError, theta: Any, states: Array) -> dict[str, Array]:
     prepared = prepare(responses.flown, theta)
     system: Any = prepared.system  # of effects
@@ -356,7 +356,7 @@ class AddedCoefficients:
 COLUMNS = 64  # at a time
 
 
-@Program
+@Compiled
 def _innovation_slopes(
     responses: FilterError,
     theta: Any,

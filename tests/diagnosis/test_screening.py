@@ -363,14 +363,12 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
     left = y - estimate * beta
     r2 = float(np.mean(left**2))
 
-    def with_channels(channels):
-        x = channels["beta"]
-        residual = lambda theta, *_: (y - theta[0] * x)[:, None]
-        return SimpleNamespace(residuals=residual, linearise=lambda theta, _: (residual(theta), x[:, None, None]))
+    def of(x):
+        along = lambda theta, directions: ((y - theta[0] * x)[:, None], x[:, None, None] * directions[:, 0])
+        return SimpleNamespace(along=along, outputs=("CY",))
 
-    responses = with_channels({"beta": beta})
-    flights, noise = SimpleNamespace(channels={"beta": beta}), {"beta": sd * rng.standard_normal(n)}
-    vars(responses).update(flights=flights, noise=noise, with_channels=with_channels, outputs=("CY",))
+    responses = of(beta)
+    responses.noisy = {"beta": of(beta + sd * rng.standard_normal(n))}
     effect = CATALOGUE["sideslip_side_force"]
     fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[beta @ beta / r2]]), np.array([r2]), 0.0)
     state = state_of(
