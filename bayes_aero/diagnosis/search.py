@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -298,7 +299,9 @@ def search_in_stages(
     if not path.outputs:
         return None, coefficients(None), (), ()
     progress("sensors", 0.0)
-    sensors = check_sensors(full, path, theta, seed=seed)
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(responses.linearise, theta)  # compiled while NumPy checks the sensors
+        sensors = check_sensors(full, path, theta, seed=seed)
     if unreliable := contradiction(sensors):
         return sensors, coefficients(sensors, most=0), (), unreliable
     aerodynamics, denied = coefficients(sensors), list[str]()
