@@ -119,9 +119,7 @@ class Compiled:
             with suppress(Exception):  # of a file that is not whole; it is made again
                 code, blank = pickle.loads(path.read_bytes())
                 result = jax.tree.structure(blank)
-                jax.jit(jax.numpy.linalg.cholesky).lower(
-                    jax.numpy.eye(1)
-                )  # lowering such a program makes LAPACK known to all
+                _with_lapack()
                 trees = jax.tree.structure(((arrays,), {})), jax.tree.structure([0] * result.num_leaves)
                 return deserialize_and_load(code, *trees), result
         program = jax.jit(traced, compiler_options=self.options).lower(arrays)
@@ -152,6 +150,14 @@ class Compiled:
         except (pickle.PicklingError, TypeError, AttributeError):
             return None
         return Path(root) / "programs" / f"{hashlib.sha256(_version() + words.getvalue()).hexdigest()}.bin"
+
+
+@cache
+def _with_lapack() -> None:
+    """Make LAPACK known to loaded programs, as JAX does when it lowers the first program that calls it."""
+    import jax
+
+    jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), "float32"))
 
 
 class _Words(pickle.Pickler):

@@ -155,6 +155,45 @@ def test_one_process_compiles_for_the_next(tmp_path):
     assert (later, none) == (misses, 0)
 
 
+REGRESSION = """
+import jax, numpy as np
+import bayes_aero.dynamics
+from bayes_aero.physics.coefficients import lift_regression
+from bayes_aero.processes import Compiled
+made = []
+jax.monitoring.register_event_duration_secs_listener(lambda name, *_, **__: made.append(name.rsplit("/", 1)[1]))
+rng, n, at = np.random.default_rng(0), 400, (1.0, 0.0, 0.0)
+names = ("alpha", "q", "p", "r", "ax", "az", "elevator")
+s = {name: 0.01 * np.cumsum(rng.standard_normal(n)) for name in names}
+s |= {"airspeed": np.full(n, 90.0), "density": np.ones(n)}
+ends = np.full(n, 0.04), np.zeros(n, int), np.full(n, n - 1)
+numpy = lift_regression(s, at, *ends)
+np.testing.assert_allclose(Compiled(lift_regression)(s, at, *ends).share, numpy.share, rtol=1e-6, atol=1e-9)
+print(made.count("backend_compile_duration"))
+theirs = Compiled(lambda x: x.sum())
+print(float(theirs(np.ones(3))))
+"""
+
+
+def test_what_one_process_has_compiled_another_loads(tmp_path):
+    """With the functions of LAPACK that it calls; compiled anew where the file is not whole. NumPy has the numbers."""
+    settings = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "XLA_"))}
+    settings |= {"JAX_PLATFORMS": "cpu", "BAYES_AERO_CACHE": str(tmp_path)}
+
+    def compiled_by_a_process() -> bool:
+        command = [sys.executable, "-c", COMMAND + REGRESSION]
+        ended = subprocess.run(command, env=settings, capture_output=True, text=True, timeout=120, check=True)
+        *_, count, total = ended.stdout.split()
+        assert float(total) == 3.0  # a function that is not of the package is not kept
+        return int(count) > 0
+
+    assert compiled_by_a_process()
+    (kept,) = tmp_path.rglob("programs/*.bin")
+    assert not compiled_by_a_process()
+    kept.write_bytes(kept.read_bytes()[:1000])
+    assert compiled_by_a_process()
+
+
 def test_a_cache_that_cannot_be_made_is_done_without(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("BAYES_AERO_CACHE", str(tmp_path / "file"))
