@@ -136,6 +136,8 @@ class Compiled:
             content = pickle.dumps((serialize(compiled)[0], jax.tree.unflatten(result, [0] * len(compiled.out_info))))
             path.parent.mkdir(parents=True, exist_ok=True)
             write_whole(content, path)
+            for old in (f for f in path.parent.glob("*.bin") if f.stat().st_mtime < time.time() - MOST_DAYS * 86400):
+                old.unlink(missing_ok=True)
         return compiled, result
 
     def _path(self, kinds: Any) -> Path | None:
@@ -160,6 +162,9 @@ def _with_lapack() -> None:
     jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), "float32"))
 
 
+TOLD = (__package__, "jax", "jaxlib", "equinox", "numpy", "builtins", "types")  # by their version; a user's file is not
+
+
 class _Words(pickle.Pickler):
     """All that a program depends on, in the same words in every process, and not to be read back."""
 
@@ -168,9 +173,9 @@ class _Words(pickle.Pickler):
         self.fast = True  # nothing by reference to what came before, for equal objects need not be the same
 
     def reducer_override(self, x: Any) -> Any:
+        if isinstance(x, FunctionType | type) and x.__module__.partition(".")[0] not in TOLD:
+            raise pickle.PicklingError(x.__qualname__)
         if isinstance(x, FunctionType):
-            if x.__module__.partition(".")[0] != __package__:  # the version does not tell of a user's file
-                raise pickle.PicklingError(x.__qualname__)
             place, cells = next(iter(x.__code__.co_positions()), None), [c.cell_contents for c in x.__closure__ or ()]
             return str, (x.__module__, x.__qualname__, place, x.__defaults__, x.__kwdefaults__, cells)
         if isinstance(x, Mapping) and type(x) is not dict:
@@ -203,7 +208,7 @@ def full_of_programs() -> bool:
 
 # --- The cache of compiled programs on disk, shared between processes.
 
-CACHE = "BAYES_AERO_CACHE"
+CACHE, MOST_DAYS = "BAYES_AERO_CACHE", 90.0  # after which a program is compiled anew: it may be of another version
 FOLDER = "JAX_COMPILATION_CACHE_DIR"
 MIN_SECONDS = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
 LEAST_TIME = MIN_SECONDS.lower()

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 LIMITS = {
     "bayes_aero: lines": 42000,
     "bayes_aero: files": 130,
-    "bayes_aero: private helpers used once": 230,
+    "bayes_aero: private helpers used once": 231,
     "bayes_aero: class names with several meanings": 0,
     "tests: lines": 21858,
     "tests: files": 85,
