@@ -252,7 +252,7 @@ def left_out(
         contender, k = job
         fit, held = contender.fit, {**contender.held, **silent[contender.name][k]}
         weighed = noise.on(fit.flown, without=k) if contender.weighed else fit.flown
-        options = {"departure": fit.departure, "prior_weight": noise.variance_inflation, "stopped": stopped.is_set}
+        options = {"prior_weight": noise.variance_inflation, "stopped": stopped.is_set}
         rest = masked(weighed, k, keep=False)
         return contender.name, output_error.fit_output_error(rest, start=fit.estimate, held=held, **options)
 
@@ -403,8 +403,7 @@ def eliminate(
     gone = frozenset(less.held) - frozenset(contender.held)
     if not gone:
         return Elimination(contender, fits, confirmation)
-    options = {"departure": fit.departure, "held": less.held, "prior_weight": inflation}
-    again = output_error.fit_output_error(fit.flown, start=fit.estimate, **options)
+    again = output_error.fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=inflation)
     return Elimination(replace(less, fit=again), made[confirmation.kept], confirmation, gone)
 
 
