@@ -648,15 +648,7 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
 def _without(state: SelectionState, effects: Sequence[str], apart: tuple[str, ...]) -> SelectionState:
     """The state without some of its additions and of its offsets, at the optimum of what is left."""
     kept = tuple(name for name in state.active if name not in effects)
-    theta, gone = state.full.at_neutral(state.theta, effects), [e for e in effects if e in state.active]
-    if apart == state.apart and gone:  # from where the others go to first order, fewer steps are left
-        less = state.without(gone)
-        at = less.best.columns < len(theta)
-        bounds = np.array([p.bounds for p in state.full.model.free])[less.best.columns[at]].T
-        begin = theta.copy()
-        begin[less.best.columns[at]] = np.clip(theta[less.best.columns[at]] + less.best.step[at], *bounds)
-        theta = begin
-    return refitted(moved(state, theta, kept, apart))
+    return refitted(moved(state, state.full.at_neutral(state.theta, effects), kept, apart))
 
 
 def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]) -> list[str]:
