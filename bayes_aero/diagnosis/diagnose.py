@@ -169,7 +169,7 @@ def _causes_in(
             if worse := [rival for rival, gain in in_place.items() if full.settings.degrades(*gain)]:
                 probability, others = rivals_of(extension, name, worse, noise[name])
         if name in forms:  # the odds of the form against the cause
-            probability = float(1.0 / (1.0 / max(probability, 1e-300) + np.exp(-forms[name][1])))
+            probability = float(1.0 / (1.0 / max(probability, 1e-300) + math.exp(min(-forms[name][1], 700.0))))
             others = (*others, forms[name][0])
         gain = measured.get(name, NO_GAIN)
         causes.append(
