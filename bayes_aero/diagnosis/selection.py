@@ -521,9 +521,9 @@ def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
     S, weight = state.scaled[state.inside][:, :, at] @ covariance.T, 1.0 / fit.variance
     noisy = state.responses.noisy.values()
 
-    def made(noisy: ResidualModel) -> tuple[np.ndarray, np.ndarray]:
+    def made(there: ResidualModel) -> tuple[np.ndarray, np.ndarray]:
         """What noise of one channel adds to the outputs' variances, and its bias of the additions."""
-        residual, slopes = noisy.along(state.theta, directions)
+        residual, slopes = there.along(state.theta, directions)
         dr = ((residual[:, keep] - state.residual) / state.noise_growth)[state.inside]
         dS = (slopes[:, keep] / state.noise_growth[:, :, None])[state.inside] - S
         return np.mean(dr**2, axis=0) * weight, np.tensordot(dr * weight, dS, 2)

@@ -462,7 +462,7 @@ class _Model:
         """Nats by which it explains more than another, costs counted; at most these where not above `least`."""
         # What tells the two apart is the residual along the difference of what they explain.
         state, fits, lefts = self.state, (self.fitted[0], other.fitted[0]), (self.fitted[1], other.fitted[1])
-        most = nats(fits[1].deviance - fits[0].deviance, 1.0) - self.cost + other.cost
+        most = nats(max(fits[1].deviance - fits[0].deviance, 0.0), 1.0) - self.cost + other.cost  # were it not coloured
         if most <= least:
             return most
         better = int(fits[1].deviance < fits[0].deviance)
