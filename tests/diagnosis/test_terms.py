@@ -13,6 +13,7 @@ import stranger_six
 from calling import called
 from gusty_flight import DT, GUST, LENGTH, SECONDS, TRUTH, gusty_flight
 from parts import few_candidates, without_accelerometers
+from scipy.signal import lfilter
 
 from bayes_aero.diagnosis import search as searches
 from bayes_aero.diagnosis.components import QUANTITIES, SAME, SEPARATED, Trial, WaveScan, columns_of, imitated, library
@@ -236,6 +237,26 @@ def test_a_lag_is_the_rival_of_a_delay_that_stands_in_for_it_and_of_none_that_is
     assert "lag(alpha, 15 c/V)" in of_lag[delay.name][0]
     assert of_lag[delay.name][1] < 0.0
     assert of_delay == {}
+
+
+def test_what_is_not_worth_its_cost_is_told_as_soon_as_from_all_that_the_colour_says(calm):
+    """Of coloured residuals what a simpler model loses may be little, though it loses many nats were they white."""
+    rng, m, c = np.random.default_rng(3), len(calm.S), calm.outputs.index("alpha")
+    wave, slow = np.zeros((2, *calm.residual.shape))
+    wave[:, c] = np.sin(np.arange(m) / 40.0)
+    slow[:, c] = lfilter([1.0], [1.0, -0.9], np.std(calm.residual[:, c]) * rng.standard_normal(m))
+    pairs, white = [], 0
+    for size in np.geomspace(0.1, 1.0, 8):
+        state = replace(calm, residual=calm.residual + slow + size * np.std(slow[:, c]) * wave)
+        models = _Model(state), _Model(state, functions=(Component("CL", "slow", wave[:, :, None]),))
+        pairs += [models, models[::-1]]
+    for model, other in pairs:
+        exact = model.beyond(other)
+        for least in (-3.0, 0.0, 3.0):
+            assert (model.beyond(other, least) > least) == (exact > least)
+        loss = 0.5 * (other.fitted[0].deviance - model.fitted[0].deviance)
+        white += exact > 0.0 > loss - model.cost + other.cost
+    assert white > 0  # some pair is one that white residuals would decide otherwise
 
 
 def test_the_leader_explains_as_much_as_a_regression_says_and_is_nothing_that_a_parameter_makes(calm):
