@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,22 +17,13 @@ from rich.console import Console
 
 from bayes_aero.cli import terminal
 from bayes_aero.errors import InputError
-from bayes_aero.jobs.options import (
-    DiagnoseOptions,
-    ExportForm,
-    FlyOptions,
-    IdentifyOptions,
-    PathOptions,
-    QualifyOptions,
-    ReadingOptions,
-)
+from bayes_aero.jobs import options as asked
 from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
     from bayes_aero.flight.card import Card
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.jobs.results import Flight, Outcome
-    from bayes_aero.report.screen import Screen
     from bayes_aero.study.run import Planned, Study, Unit, UnitRunner
 
 CHANGES = 8  # lines for what trajectories change of the first answer of diagnose
@@ -40,8 +31,8 @@ CHANGES = 8  # lines for what trajectories change of the first answer of diagnos
 
 @terminal.with_options
 def identify(
-    reading: ReadingOptions,
-    options: IdentifyOptions,
+    reading: asked.ReadingOptions,
+    options: asked.IdentifyOptions,
     records: Annotated[list[Path] | None, typer.Argument(help=f"{terminal.RECORDS}; none: two simulated.")] = None,
     out: terminal.OutOption = Path("results"),
     verbose: terminal.VerboseOption = False,
@@ -74,8 +65,8 @@ def identify(
 
 @terminal.with_options
 def diagnose(
-    reading: ReadingOptions,
-    options: DiagnoseOptions,
+    reading: asked.ReadingOptions,
+    options: asked.DiagnoseOptions,
     records: Annotated[
         list[Path] | None, typer.Argument(help=f"{terminal.RECORDS}; none: two simulated, with a hidden effect.")
     ] = None,
@@ -93,10 +84,12 @@ def diagnose(
     """
     (card, flights), hidden = terminal.card_and_records(records or [], reading), None
     with terminal.loading():
+        from bayes_aero.jobs.check import RecordChecks
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
         from bayes_aero.jobs.preparing import refuse_existing, write_effects
         from bayes_aero.report.pages.diagnosis import diagnosis_screen
-        from bayes_aero.report.screen import LINES
+        from bayes_aero.report.pages.parts import record_block
+        from bayes_aero.report.screen import LINES, Screen
 
     if write_effect is not None:
         refuse_existing(write_effect)
@@ -106,16 +99,23 @@ def diagnose(
                 "No record given: an effect is hidden in two simulated manoeuvres, then searched for."
             )
             hidden, flights = hide_one(card, options.seed)
-        shown: list[Screen] = []
+        shown, taken = [Screen([], [], [], [], whole=False)], 0
 
-        def answer(first: Outcome) -> None:
-            shown.append(diagnosis_screen(first, card, flights))
-            terminal.print_screen(shown[0], LINES - CHANGES, quiet=json)
+        def answer(known: RecordChecks | Outcome) -> None:
+            nonlocal taken
+            if isinstance(known, RecordChecks):
+                record, _ = record_block(flights, known.health, known.consistency, corrects=True)
+                shown.append(replace(shown[0], record=record))
+                taken = terminal.print_screen(shown[-1], quiet=json)
+                return
+            shown.append(diagnosis_screen(known, card, flights))
+            new = replace(shown[-1], record=[]) if shown[-1].record == shown[-2].record else shown[-1]
+            terminal.print_screen(new, LINES - CHANGES - taken, quiet=json)
 
         outcome = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell, answer=answer)
     terms, names = outcome.diagnosis.terms, [record.name for record in flights]
     written = [] if write_effect is None else [write_effects(terms, names, write_effect)]
-    changed = diagnosis_screen(outcome, card, flights).changes(shown[0])
+    changed = diagnosis_screen(outcome, card, flights).changes(shown[-1])
     if changed.result or changed.doubts or changed.next:
         terminal.print_screen(changed, CHANGES, quiet=json)
     # Trajectories alone are fitted to the record as it is.
@@ -126,8 +126,8 @@ def diagnose(
 @terminal.with_options
 def fly(
     records: terminal.RecordsArgument,
-    reading: ReadingOptions,
-    options: FlyOptions,
+    reading: asked.ReadingOptions,
+    options: asked.FlyOptions,
     out: terminal.OutOption = Path("trajectories"),
     verbose: terminal.VerboseOption = False,
     timings: terminal.TimingsOption = False,
@@ -153,8 +153,8 @@ def fly(
 @terminal.with_options
 def path(
     records: terminal.RecordsArgument,
-    reading: ReadingOptions,
-    options: PathOptions,
+    reading: asked.ReadingOptions,
+    options: asked.PathOptions,
     out: terminal.OutOption = Path("path"),
     verbose: terminal.VerboseOption = False,
     timings: terminal.TimingsOption = False,
@@ -201,7 +201,7 @@ def export(
     result: Annotated[
         str, typer.Argument(help="Folder (or JSON) of a result, or a card with all values.", metavar="MODEL")
     ],
-    to: Annotated[ExportForm, typer.Option(help="jsbsim: an aircraft; fmu: FMI 2.0; tables: NetCDF and CSV.")],
+    to: Annotated[asked.ExportForm, typer.Option(help="jsbsim: an aircraft; fmu: FMI 2.0; tables: NetCDF and CSV.")],
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: NAME_FORM, here.")] = None,
     model: terminal.ResultCardOption = None,
     draws: Annotated[int, typer.Option(min=0, help="Draws of the parameters to write, of their posterior.")] = 0,
@@ -261,7 +261,7 @@ def open(
 @terminal.with_options
 def qualify(
     result: terminal.ResultArgument,
-    options: QualifyOptions,
+    options: asked.QualifyOptions,
     records: Annotated[list[Path] | None, typer.Argument(help=f"Further tests: {terminal.RECORDS}.")] = None,
     out: terminal.OutOption = Path("qualification"),
     verbose: terminal.VerboseOption = False,

@@ -83,14 +83,16 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
     return Console(quiet=quiet, highlight=highlight, markup=False)
 
 
-def print_screen(screen: Screen, lines: int | None = None, *, quiet: bool = False) -> None:
-    """In at most these lines (None: all of a screen), at most `COLUMNS` wide; as wide where it is no terminal."""
+def print_screen(screen: Screen, lines: int | None = None, *, quiet: bool = False) -> int:
+    """In at most these lines (None: all of a screen), at most `COLUMNS` wide; as wide where it is no terminal. Returns
+    how many it took."""
     from bayes_aero.report.screen import LINES
 
     wide = Console()
     width = min(wide.width, COLUMNS) if wide.is_terminal else COLUMNS
     console = Console(quiet=quiet, highlight=False, markup=False, width=width)
-    console.print(screen.terminal(console, lines or LINES))
+    console.print(grid := screen.terminal(console, lines or LINES))
+    return len(console.render_lines(grid))
 
 
 @contextmanager
@@ -234,11 +236,7 @@ def working(out: Path, timings: bool, first: str = "reading") -> Iterator[Progre
 GONE: tuple[tuple[str, str, str], ...] = (
     ("diagnose", "--predictors/--no-predictors", "predictors are no longer compared; see --no-test-points"),
     ("fly", "--drift", "run diagnose, which says whether a parameter changed, when and by how much"),
-    (
-        "identify",
-        "--approximate-gp",
-        "processes are exact; give parts of records (FILE@FROM:TO) or a longer --resample",
-    ),
+    ("identify", "--approximate-gp", "processes are exact; give parts (FILE@FROM:TO) or a longer --resample"),
     ("run", "--memory", "each of the workers has an equal share; give fewer --workers for more"),
     ("run", "--verify", "run the study again with another --out and compare the two summary.csv"),
     ("simulate", "--page/--no-page", "run check on the record with --out for a page of it"),

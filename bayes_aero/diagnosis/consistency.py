@@ -52,14 +52,18 @@ def consistency(
     seek: bool = True,
     errors: KnownErrors | None = None,
     turbulence: float = LIGHT_TURBULENCE,
+    before: Consistency | None = None,
 ) -> Consistency:
     """Check the flight path of each record; where sensors disagree, `seek` the error that explains it. Air may be as
-    rough as all air-data channels show, up to this `turbulence` (m/s)."""
+    rough as all air-data channels show, up to this `turbulence` (m/s). `before`: the same with other errors taken out
+    (None: with these), of which nothing is checked again."""
+    if before is not None and errors is None:
+        return before
     if why := no_flight_path(records, card):
         return Consistency(why)
     flights = _flights(records, card)
     unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
-    report = Consistency("", unchecked, checks(flights, card, seed, turbulence))
+    report = Consistency("", unchecked, before.recorded if before else checks(flights, card, seed, turbulence))
     if errors is None:
         if report.agreement is Agreement.AGREE or not seek:
             return report
@@ -70,6 +74,8 @@ def consistency(
     report = replace(report, errors=errors.errors, open=errors.open)
     if report.agreement is Agreement.AGREE or not errors.effects:
         return report
+    if before is not None and before.errors == errors.errors:
+        return replace(report, corrected=before.corrected)
     # Where the sensors disagree, they are checked again without the errors that are known.
     values = {p: x["mean"] for e in errors.errors.values() for p, x in e["parameters"].items()}
     corrected = with_corrections(flights, Model.of(errors.effects, axes=tuple(Axis)), values)

@@ -45,9 +45,10 @@ def diagnose(
     settings: DiagnosisSettings = DEFAULT,
     seed: int = 0,
     extra: Sequence[Effect] = (),
-    progress: Progress = quiet,
+    **told: Any,
 ) -> result.Diagnosis:
-    """Find what the card's model gets wrong on `records`; `settings` hold every threshold.
+    """Find what the card's model gets wrong on `records`; `settings` hold every threshold, `told` are `progress` and
+    `checked` of `Search`.
 
     The model is compared with coefficients, with trajectories where no accelerometer gives those, or, as the settings
     say, with innovations.
@@ -55,13 +56,13 @@ def diagnose(
     card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
     gusts = in_gusts(records, card, seed) if settings.process_noise is None else {}
     candidates = (*own_effects(card.effect_files).values(), *extra)
-    search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress)
+    search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, **told)
     by_model = search.trajectories if lacking(records, card) else search.coefficients
     searched = search.innovations() if settings.process_noise or gusts else by_model()
     stages, state = searched.stages, searched.model.state
     kept_of, failed = {stage: extension.state.active for stage, extension in stages.items()}, ()
     if settings.gains and searched.testable_now:
-        candidates, kept_of, failed = _confirmed(searched, progress)
+        candidates, kept_of, failed = _confirmed(searched, search.progress)
     else:
         candidates = causes_of(searched, {}, quiet)
     # Offsets between manoeuvres are in the model beside the causes.

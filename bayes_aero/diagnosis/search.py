@@ -112,6 +112,7 @@ class Search:
     settings: selection_state.DiagnosisSettings
     seed: int
     progress: Progress = quiet
+    checked: Callable[[Consistency], None] = lambda _: None  # told how sensors agree without the errors that were found
 
     def contradiction(self, sensors: Extension | None) -> tuple[Departure, ...]:
         """Where sensors, known errors taken out, contradict each other by more than a simulation may be off."""
@@ -122,7 +123,9 @@ class Search:
         # Gusts that all air-data channels show are the filter's to estimate, however strong.
         turbulence = np.inf if sensors is None else LIGHT_TURBULENCE
         check = partial(consistency, self.records, self.card, seed=self.seed, errors=errors, turbulence=turbulence)
-        report, _ = attempted("Whether sensors contradict each other was not checked", check, Consistency("it failed"))
+        report, failed = attempted("Whether sensors contradict each other was not checked", check, Consistency("?"))
+        if sensors is not None and not failed:
+            self.checked(report)
         return report.beyond({name: tolerance.value for name, tolerance in self.card.tolerances.items()})
 
     def coefficients(self) -> SearchResult:

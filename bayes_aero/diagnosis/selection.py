@@ -701,9 +701,8 @@ def addition_gain(state: SelectionState, wide: np.ndarray) -> float:
     used = np.unique(np.concatenate([wide, state.columns(), card]))
     everything, active, card = (np.searchsorted(used, columns) for columns in (wide, state.columns(), card))
     of = state.products.only(used), (state.mean[used], state.precision[used]), state.variance_inflation
-    deviances = [
-        [integrated_deviance(*of, fold, c, card) for c in (active, everything)] for fold in range(len(state.folds))
-    ]
+    folds, both = range(len(state.folds)), (active, everything)
+    deviances = [[integrated_deviance(*of, fold, columns, card) for columns in both] for fold in folds]
     return float(np.sum([without - within for without, within in deviances]))
 
 

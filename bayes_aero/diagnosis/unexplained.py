@@ -603,9 +603,7 @@ def contest(extension: Extension, left: Left = Left()) -> Forms:
     models = list[_Model]()
     for apart in ((), state.apart) if state.apart else ((),):
         terms = _beside(_without(state, [*rest, *named], apart), reached, (), rest, state)
-        by_name = {
-            name: [f for f in components_of(terms) if f.coefficient == c.coefficient] for name, c in named.items()
-        }
+        by_name = {n: [f for f in components_of(terms) if f.coefficient == c.coefficient] for n, c in named.items()}
         alone = [name for name, group in by_name.items() if [f.label for f in group] in ([], [named[name].label])]
         same = {named[name].label for name in alone}
         out = [*(name for name in named if name not in alone), *left.replaced]

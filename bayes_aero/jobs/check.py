@@ -150,10 +150,8 @@ def check_records(
         progress("do the sensors agree?", 0.5)
     errors, sought, check = (None, "", SensorCheck(why, {}, {})) if why else errors_of_sensors(sound, card, seed)
     checks = record_checks(sound, card, seed, errors=errors, seek=False, left_out=why)
-    agreement = replace(checks.consistency, unsought=sought)
-    return CheckReport(
-        card, tuple(reports), uses, not_testable, check, agreement, checks.health, left_out, checks.failures
-    )
+    found = replace(checks.consistency, unsought=sought), checks.health, left_out, checks.failures
+    return CheckReport(card, tuple(reports), uses, not_testable, check, *found)
 
 
 def errors_of_sensors(

@@ -33,9 +33,9 @@ from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health import only_following
+from bayes_aero.flight.health import Consistency, only_following
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.check import record_checks
+from bayes_aero.jobs.check import RecordChecks, record_checks
 from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.jobs.results import Hidden, Outcome, diagnosed, diagnosis_results, flights, put_histories
 from bayes_aero.jobs.store import Growing, picked, provenance, writable, write_json
@@ -87,22 +87,29 @@ def diagnose_records(
     out: Path | None = None,
     hidden: Hidden | None = None,
     progress: Progress = quiet,
-    answer: Callable[[Outcome], None] = lambda _: None,
+    answer: Callable[[RecordChecks | Outcome], None] = lambda _: None,
 ) -> Outcome:
-    """Diagnose, as `bayes-aero diagnose` does; `hidden` is what simulated records hide. `answer` is given the outcome
-    as soon as the causes are known; trajectories, figures and the page follow."""
+    """Diagnose, as `bayes-aero diagnose` does; `hidden` is what simulated records hide. `answer` is given what the
+    records are worth as soon as the errors of their sensors are known, then the outcome with the causes; trajectories,
+    figures and the page follow."""
     card, left_out = on_recorded_axes(card, records)
     if out is not None:
         writable(out)
     kept = ResultStore(card, records, out, provenance(card, records, options.seed, options.settings, options))
     progress("do the sensors agree?", 0.0)
     settings = DiagnosisSettings(**picked(options, "max_effects", "process_noise", "anyway"))
-    diagnosis = diagnose(records, card, settings=settings, seed=options.seed, progress=progress)
+    of, before = (records, card, options.seed, out), list[Consistency]()
+
+    def told(report: Consistency) -> None:
+        before.append(report)
+        answer(record_checks(*of, before=report))
+
+    diagnosis = diagnose(records, card, settings=settings, seed=options.seed, progress=progress, checked=told)
     options = replace(options, test_points=options.test_points and diagnosis.by_coefficients)
     if diagnosis.unreliable:
         options = replace(options, test_points=False, trajectories=False)
     errors = errors_of_diagnosis(diagnosis) if diagnosis.by_coefficients else None
-    checks = record_checks(records, card, options.seed, out, errors=errors)
+    checks = record_checks(*of, errors=errors, before=next(iter(before), None))
     view = view_of(replace(diagnosis, following=only_following(checks.health)))
     named = {name: place_of(view.diagnosis, name) for name in hidden} if hidden else {}
     failed = (*checks.failures, *diagnosis.failures)

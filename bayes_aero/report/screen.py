@@ -30,17 +30,18 @@ class Screen:
     result: Sequence[str | Table]
     doubts: Sequence[str]
     next: Sequence[str]
+    whole: bool = True  # not only what an earlier one did not say
 
     def changes(self, earlier: Screen) -> Screen:
         """What an earlier one of the same run did not say, in sentences."""
         new = {n: [x for x in getattr(self, n) if x not in getattr(earlier, n)] for n in ("result", "doubts", "next")}
-        return Screen([], [x for x in new["result"] if isinstance(x, str)], new["doubts"], new["next"])
+        return Screen([], [x for x in new["result"] if isinstance(x, str)], new["doubts"], new["next"], whole=False)
 
     def blocks(self, most: int = MOST) -> dict[str, Sequence[str | Table]]:
         """The four by name, with at most so many doubts and actions; of further doubts the number is given."""
         left = len(self.doubts) - most
         more = [sentence("more_doubts", n=left)] if left > 0 else []
-        doubts = [*self.doubts[:most], *more] or (["None."] if self.record else [])  # not of what changed alone
+        doubts = [*self.doubts[:most], *more] or (["None."] if self.whole else [])
         steps = [step if step.startswith(COMMAND) else ended(step) for step in self.next[:most]]
         return {"Record": self.record, "Result": self.result, "Doubts": doubts, "Next": steps}
 

@@ -6,6 +6,7 @@ the published regressors keep the bias of the gyros, which here is taken out of 
 derivative times bias, and are compared with this put back."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -251,5 +252,6 @@ def test_swapped_ailerons_are_told_by_the_roll_that_they_make(six_card, six_reco
 def test_diagnose_of_the_real_stalls_answers_on_one_screen(attas_paths, program):
     """Its length and blocks are asserted in `called`. The sensors of these records disagree."""
     asked = ("--no-trajectories", "--no-test-points", "--no-figures", "--out", "out")
-    succeeded(program("diagnose", *attas_paths, "--model", "attas", *asked), 3)
+    done = succeeded(program("diagnose", *attas_paths, "--model", "attas", *asked), 3)
+    assert re.findall("^Record .*", done.out.partition("Results are in")[0], re.MULTILINE) == [done.out.split("\n")[0]]
     assert json.loads(Path("out/diagnosis.json").read_text())["verdict"] == "partly_explained"

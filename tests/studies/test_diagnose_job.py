@@ -13,6 +13,7 @@ import xarray as xr
 from calling import page_of, validated
 from simulated_halves import halves
 
+from bayes_aero.diagnosis.consistency import consistency, errors_of_diagnosis
 from bayes_aero.diagnosis.diagnose import NO_GAIN
 from bayes_aero.errors import InputError, plain_line
 from bayes_aero.inference.results import score
@@ -63,6 +64,22 @@ def refused(*_):
 
 def killed(*_):
     raise KeyboardInterrupt
+
+
+def test_what_the_records_are_worth_is_told_before_the_causes_and_not_checked_again(diagnosed, card):
+    report, told = consistency(diagnosed.records, card), []
+
+    def found(*_, checked, **__):
+        checked(report)
+        return diagnosed.view.diagnosis
+
+    nothing_else = DiagnoseOptions(test_points=False, trajectories=False, figures=False)
+    with patch.object(job, "diagnose", found), patch.object(job, "view_of", lambda _: diagnosed.view):
+        done = job.diagnose_records(diagnosed.records, card, nothing_else, answer=told.append)
+    assert told[0].consistency is report
+    assert [x.diagnosis for x in told[1:]] == [diagnosed.view.diagnosis]
+    assert done.consistency.recorded is report.recorded
+    assert done.consistency == consistency(diagnosed.records, card, errors=errors_of_diagnosis(done.diagnosis))
 
 
 @pytest.fixture(scope="module")
