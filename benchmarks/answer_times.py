@@ -1,4 +1,4 @@
-"""Seconds until a command answers and until it ends, with an empty cache of programs and again: medians of three.
+"""Seconds until a command says what the record is worth, answers and ends; with no programs kept, and again. Medians.
 
 python benchmarks/answer_times.py STALL STALL --manoeuvre FILE CARD     # the ATTAS stalls, one short manoeuvre
 python benchmarks/answer_times.py STALL STALL --programs     # compiled by each command, with an empty cache
@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
+from math import nan
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -20,24 +21,23 @@ from tempfile import TemporaryDirectory
 COMPILED = re.compile(r"Finished XLA compilation of (?:jit\()?([^ )]+)\)? in ([0-9.]+) sec")
 
 
-def run(command: list[str], folder: Path, **more: str) -> tuple[float, float, str]:
-    """Seconds to the answer's first line and to the end, and the standard error."""
-    began, first = time.perf_counter(), float("nan")
+def run(command: list[str], folder: Path, **more: str) -> tuple[list[float], str]:
+    """Seconds to the record's first line, to that of the result, and to the end; the standard error."""
+    began, said = time.perf_counter(), dict[str, float]()
     environment, log = os.environ | {"BAYES_AERO_CACHE": str(folder / "cache")} | more, folder / "log"
     options = {"cwd": folder, "env": environment, "stdout": subprocess.PIPE, "text": True}
     with log.open("w") as errors, subprocess.Popen(command, stderr=errors, **options) as running:
         for line in running.stdout or ():
-            if line.startswith("Record "):
-                first = time.perf_counter() - began
-    return first, time.perf_counter() - began, log.read_text()
+            said.setdefault(line[:7], time.perf_counter() - began)
+    return [said.get("Record ", nan), said.get("Result ", nan), time.perf_counter() - began], log.read_text()
 
 
 def measured(command: list[str], times: int) -> list[float]:
-    """First answer and end, cold, then again."""
+    """Record, answer and end, cold, then again."""
     rows = []
     for _ in range(times):
         with TemporaryDirectory() as folder:
-            rows.append([x for _ in ("cold", "again") for x in run(command, Path(folder))[:2]])
+            rows.append([x for _ in ("cold", "again") for x in run(command, Path(folder))[0]])
     return [median(column) for column in zip(*rows, strict=True)]
 
 
@@ -45,7 +45,7 @@ def programs(name: str, command: list[str]) -> None:
     """How many a command compiles, and which take longest."""
     seconds = defaultdict[str, float](float)
     with TemporaryDirectory() as folder:
-        made = COMPILED.findall(run(command, Path(folder), JAX_LOG_COMPILES="1")[2])
+        made = COMPILED.findall(run(command, Path(folder), JAX_LOG_COMPILES="1")[1])
     for program, spent in made:
         seconds[program] += float(spent)
     longest = ", ".join(f"{p} {x:.1f}" for p, x in sorted(seconds.items(), key=lambda row: -row[1])[:6])
@@ -70,10 +70,10 @@ def main() -> None:
         for name, command in commands.items():
             programs(name, [program, *command])
         return
-    print(f"{'command':18s}{'first cold':>12s}{'all cold':>10s}{'first again':>13s}{'all again':>11s}")
+    print(f"{'cold, then again':18s}" + 2 * f"{'record':>9s}{'answer':>9s}{'all':>9s}")
     for name, command in commands.items():
-        a, b, c, d = measured([program, *command], given.times)
-        print(f"{name:18s}{a:12.1f}{b:10.1f}{c:13.1f}{d:11.1f}", flush=True)
+        row = measured([program, *command], given.times)
+        print(f"{name:18s}" + "".join(f"{x:9.1f}" for x in row), flush=True)
 
 
 if __name__ == "__main__":
