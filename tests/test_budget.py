@@ -14,7 +14,7 @@ LIMITS = {
     "bayes_aero: files": 130,
     "bayes_aero: private helpers used once": 231,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 21898,
+    "tests: lines": 21912,
     "tests: files": 85,
     "benchmarks: lines": 4500,
     "benchmarks: files": 25,

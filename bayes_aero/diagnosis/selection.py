@@ -105,7 +105,7 @@ def selected(
         if winner is None:
             break
         wider = refitted(added(state, winner))
-        if noise_shares(wider)[winner.effect] > OF_NOISE:
+        if noise_shares(wider, winner.effect)[winner.effect] > OF_NOISE:
             noisy, steps[-1] = (*noisy, winner.effect), step._replace(chosen=None)
             continue
         state = _reconsidered(wider, barred)
@@ -151,12 +151,12 @@ def sized(extension: Extension) -> Extension:
     return replace(extension, sizes=estimates, causes=causes, minor=minor)
 
 
-def noise_shares(state: SelectionState) -> dict[str, float]:
-    """Largest share of each addition that noise of the recorded channels can make, by effect."""
+def noise_shares(state: SelectionState, *effects: str) -> dict[str, float]:
+    """Largest share of each addition (default: all) that noise of the recorded channels can make, by effect."""
     # Noise in a regressor makes of whatever moves with it a second recording of the same.
-    bias, away = largest_noise_bias(state), dict(zip(state.full.model.names, state.departure, strict=True))
+    bias, away = largest_noise_bias(state, effects), dict(zip(state.full.model.names, state.departure, strict=True))
     shares = {}
-    for effect in state.active:
+    for effect in effects or state.active:
         names = [n for n in state.full.parameters_of(effect) if n in bias]
         made = [abs(bias[n][int(away[n] > 0.0)]) / max(abs(away[n]), 1e-300) for n in names]
         shares[effect] = float(min(1.0, *made)) if made else 0.0
@@ -268,7 +268,7 @@ def _reconsidered(state: SelectionState, barred: Sequence[str]) -> SelectionStat
             more = best.gain - (1.0 + state.settings.exchange_margin) * standing.gain
             if nats(more, best.variance_inflation_apart) > 1.0:
                 other = refitted(added(removed(state, effect), best))
-                state = other if noise_shares(other)[best.effect] <= OF_NOISE else state
+                state = other if noise_shares(other, best.effect)[best.effect] <= OF_NOISE else state
     return state
 
 
@@ -509,12 +509,12 @@ def noise_effect(state: SelectionState) -> tuple[Float[np.ndarray, " k"], ...]:
 
 
 @lru_cache(maxsize=4)
-def largest_noise_bias(state: SelectionState) -> dict[str, tuple[float, float]]:
-    """Lowest and highest bias of each addition's parameters by recording noise of any size that residuals permit."""
+def largest_noise_bias(state: SelectionState, effects: tuple[str, ...] = ()) -> dict[str, tuple[float, float]]:
+    """Lowest and highest bias of additions' parameters (default: all) by any recording noise that residuals permit."""
     # It is linear in the channels' variances, which sum up to no more than is left of an output; noise may be `SLOW`
     # times what is read off as white. Source: Klepper and Leamer, Econometrica 52 (1984) 163.
     fit, keep, parameters = state.best, state.kept_outputs, state.best.columns < len(state.theta)
-    at, additions = fit.columns[parameters], state.full.own_columns(*state.active)
+    at, additions = fit.columns[parameters], state.full.own_columns(*(effects or state.active))
     covariance = inverse(fit.normal)[np.isin(fit.columns, additions)][:, parameters]
     directions = np.zeros((len(covariance), len(state.theta)))
     directions[:, at] = covariance

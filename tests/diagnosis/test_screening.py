@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.linalg import lstsq
 from scipy.signal import lfilter
 
-from bayes_aero.diagnosis import diagnose, selection
+from bayes_aero.diagnosis import diagnose, selection, selection_state
 from bayes_aero.diagnosis.diagnose import compared, judged_on_held_out_flights, profiles
 from bayes_aero.diagnosis.result import Absorbed, Confirmation, Size, Verdict, verdict_of
 from bayes_aero.diagnosis.screening import (
@@ -382,6 +382,20 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
     assert sorted((low, high)) == pytest.approx(sorted((0.0, exact)), rel=0.05, abs=1e-6)
     if share == 1.0:
         assert estimate - exact == pytest.approx(slope, rel=0.02)
+
+
+def test_the_bias_of_one_addition_is_that_which_it_has_among_all(diagnosed):
+    state = diagnosed.view.diagnosis.sensors.state
+    one, other = (state.full.own_columns(name) for name in ("pitch_rate_bias", "alpha_bias"))
+    theta = state.full.neutral_vector
+    theta[one], theta[other] = 0.002, 0.01
+    state = selection_state.moved(state, theta, ("pitch_rate_bias", "alpha_bias"))
+    both = selection.largest_noise_bias(state)
+    assert len(both) == 2
+    for name in state.active:
+        (pair,) = selection.largest_noise_bias(state, (name,)).values()
+        assert pair == pytest.approx(both[name], rel=1e-6)
+        assert pair[0] < pair[1]
 
 
 @pytest.mark.parametrize(("score", "named"), [(2.4, False), (2.6, True)])
