@@ -110,7 +110,7 @@ def diagnose(
                 return
             shown.append(diagnosis_screen(known, card, flights))
             new = replace(shown[-1], record=[]) if shown[-1].record == shown[-2].record else shown[-1]
-            terminal.print_screen(new, LINES - CHANGES - taken, quiet=json)
+            terminal.print_screen(new, max(LINES - CHANGES - taken, 1), quiet=json)
 
         outcome = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell, answer=answer)
     terms, names = outcome.diagnosis.terms, [record.name for record in flights]

@@ -55,8 +55,8 @@ def consistency(
     before: Consistency | None = None,
 ) -> Consistency:
     """Check the flight path of each record; where sensors disagree, `seek` the error that explains it. Air may be as
-    rough as all air-data channels show, up to this `turbulence` (m/s). `before`: the same with other errors taken out
-    (None: with these), of which nothing is checked again."""
+    rough as all air-data channels show, up to this `turbulence` (m/s). `before` is the same check
+    with other errors taken out: what they do not change is taken over; without `errors` all of it is."""
     if before is not None and errors is None:
         return before
     if why := no_flight_path(records, card):

@@ -123,7 +123,7 @@ class Search:
         # Gusts that all air-data channels show are the filter's to estimate, however strong.
         turbulence = np.inf if sensors is None else LIGHT_TURBULENCE
         check = partial(consistency, self.records, self.card, seed=self.seed, errors=errors, turbulence=turbulence)
-        report, failed = attempted("Whether sensors contradict each other was not checked", check, Consistency("?"))
+        report, failed = attempted("Whether sensors contradict each other was not checked", check, Consistency("error"))
         if sensors is not None and not failed:
             self.checked(report)
         return report.beyond({name: tolerance.value for name, tolerance in self.card.tolerances.items()})

@@ -30,7 +30,7 @@ class Screen:
     result: Sequence[str | Table]
     doubts: Sequence[str]
     next: Sequence[str]
-    whole: bool = True  # not only what an earlier one did not say
+    whole: bool = True  # False: no more than an earlier one has not said
 
     def changes(self, earlier: Screen) -> Screen:
         """What an earlier one of the same run did not say, in sentences."""
